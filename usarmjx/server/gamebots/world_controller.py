@@ -20,6 +20,7 @@ from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, Segment, clip, four_decimals_list
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.server.worlds.wire_pose import wire_pose
 
 CLASS_NAME = "WorldController"
 """Class that INIT names."""
@@ -65,15 +66,13 @@ class WorldController:
         return Message("STA", tuple(segments))
 
     def _described(self, index: int, name: str) -> list[Segment]:
-        row = self._loose_pose(index)
-        with numpy_backend():
-            mat = np.asarray(mat_from_quat(row[3:]), float)
-        size, angles = self._size(index, mat), angles_from_mat(mat).tolist()
+        row = self._world.loose_poses()[index]
+        size, (location, rotation) = self._size(index, row[3:]), wire_pose(row[:3], row[3:])
         return [
             ("Name", "_".join(name.split()) or "_"),
             ("Size", four_decimals_list((size[0], size[1], -size[2]))),
-            ("Location", four_decimals_list(flip_wire_vector(row[:3].tolist()))),
-            ("Rotation", four_decimals_list(flip_wire_angles(angles))),
+            ("Location", four_decimals_list(location)),
+            ("Rotation", four_decimals_list(rotation)),
         ]
 
     def _pose(self, robot: Robot) -> np.ndarray:
@@ -81,13 +80,10 @@ class WorldController:
         state = self._world.state(robot)
         return np.concatenate([np.asarray(state.pos, float), np.asarray(state.quat, float)])
 
-    def _loose_pose(self, index: int) -> np.ndarray:
-        """Return position [m] and orientation of a loose object (7,)."""
-        loose = self._world.scene.loose_geoms
-        return np.asarray(self._world.one_world()[1].qpos, float)[loose.root_qposadr[index]]
-
-    def _size(self, index: int, mat: np.ndarray) -> list[float]:
-        """Return the lengths of an object's box along the world's axes [m]."""
+    def _size(self, index: int, quat: np.ndarray) -> list[float]:
+        """Return the lengths of the box along the world's axes around an object that is turned so [m]."""
+        with numpy_backend():
+            mat = np.asarray(mat_from_quat(quat), float)
         scene = self._world.scene
         loose, boxes = scene.loose_geoms, scene.model.geom_aabb
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -109,7 +105,7 @@ class WorldController:
         if index is None and robot is None:
             raise PeerError(f"nothing here is called {clip(command.name)}")
         if relative:
-            row = self._pose(robot) if index is None and robot is not None else self._loose_pose(index or 0)
+            row = self._pose(robot) if index is None and robot is not None else world.loose_poses()[index]
             with numpy_backend():
                 present = angles_from_mat(np.asarray(mat_from_quat(row[3:]), float))
             by, turn = row[:3] + by, present + turn

@@ -12,15 +12,9 @@ Positions are in the wire's axes [m], angles are roll, pitch and yaw [rad] (USAR
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import numpy as np
-
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
-from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.transforms import angles_from_mat
 from usarmjx.server.protocol.dialects import LATER_CLASSES
-from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import (
     LineBuffer,
     Message,
@@ -30,6 +24,7 @@ from usarmjx.server.protocol.grammar import (
     two_decimals_list,
 )
 from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.server.worlds.wire_pose import wire_pose
 
 MAX_LINE_SIZE = 1024
 """Longest line accepted [bytes]."""
@@ -63,18 +58,14 @@ def true_poses(world: ServedWorld) -> Iterator[TruePose]:
         yield TruePose(robot.name, kind, state.pos, state.quat)
     loose = world.scene.arena.loose
     if loose:
-        rows = np.asarray(world.one_world()[1].qpos)[world.scene.loose_geoms.root_qposadr]
-        for thing, row in zip(loose, rows, strict=True):
+        for thing, row in zip(loose, world.loose_poses(), strict=True):
             yield TruePose(thing.name, LOOSE_CLASS, row[:3], row[3:])
 
 
 def pose_segments(pos: Array, quat: Array) -> tuple[tuple[str, str], tuple[str, str]]:
     """Return Location and Rotation of a pose in our axes."""
-    with numpy_backend():
-        angles = angles_from_mat(np.asarray(mat_from_quat(np.asarray(quat)), float))
-    location = two_decimals_list(flip_wire_vector(np.asarray(pos, float).tolist()))
-    rotation = two_decimals_list(flip_wire_angles(np.asarray(angles, float).tolist()))
-    return ("Location", location), ("Rotation", rotation)
+    location, rotation = wire_pose(pos, quat)
+    return ("Location", two_decimals_list(location)), ("Rotation", two_decimals_list(rotation))
 
 
 class TruthSession:

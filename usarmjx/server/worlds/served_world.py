@@ -231,6 +231,10 @@ class ServedWorld(ABC):
         age = int(world.step) - int(world.groups[group].battery_start[member])
         return max(0.0, robot.spec.battery_life - age * self.period)
 
+    def loose_poses(self) -> np.ndarray:
+        """Return positions [m] and orientations, w first, of the arena's loose objects (objects, 7)."""
+        return np.asarray(self.one_world()[1].qpos, float)[self.scene.loose_geoms.root_qposadr]
+
     def forget(self) -> None:
         """Remove the robots' marks: traces, and texts on tags."""
         self.traces.clear()
