@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import viser
 
 from tests.view.simple_worlds import drawing_of, frame_of
@@ -104,6 +105,24 @@ def test_the_legend_has_what_is_drawn_and_nothing_else():
     assert legend_html([], tagged, dropped) == ""
     assert "radio tag" in board_html("yard", tagged, frame, BoardFacts(), MissionLog(), layers)
     assert set(ENTRIES) <= {name for name, _ in LAYERS}
+
+
+@pytest.mark.parametrize(
+    ("kind", "layer"),
+    [
+        ("RangeScanner", "Laser fans"),
+        ("IRScanner", "Laser fans"),
+        ("Sonar", "Sonar cones"),
+        ("IR", "Infrared lines"),
+    ],
+)
+def test_the_legend_has_echoes_only_of_sensors_that_a_robot_has(kind, layer):
+    drawing = drawing_of(1)
+    frame = frame_of(drawing)
+    assert legend_html([layer], drawing, frame) == ""
+    mount = replace(drawing.robots[0].cameras[0], kind=kind, settings=({},))
+    equipped = replace(drawing, robots={0: replace(drawing.robots[0], sensors=(mount,))})
+    assert len(ENTRIES[layer]) == legend_html([layer], equipped, frame).count("<div>") == 1
 
 
 def test_names_of_people_are_no_html():

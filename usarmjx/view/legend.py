@@ -1,12 +1,16 @@
 """The legend of the page: what the marks mean that are drawn over a world."""
 
 from collections.abc import Callable, Collection
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.ranging import Ir, RangeScanner, Sonar
 from usarmjx.view.drawing import MAP_GRID, Drawing, Frame
 from usarmjx.view.layers.base import SCALE
+from usarmjx.view.layers.bodies import sensors_of
 from usarmjx.view.layers.echoes import IR_RGB
 from usarmjx.view.layers.light import BEAM_RGB, BULB_RGB
 from usarmjx.view.layers.maps import FREE, MAP_RGBA, MARK, WALL
@@ -44,6 +48,11 @@ def css_rgb(rgb: Collection[float]) -> str:
 def _has_robots(drawing: Drawing, frame: Frame) -> bool:
     del drawing
     return bool(frame.robots)
+
+
+def _has_sensor(family: type[Sensor], drawing: Drawing, frame: Frame) -> bool:
+    del frame
+    return bool(sensors_of(drawing, family))
 
 
 def _has_trail(drawing: Drawing, frame: Frame) -> bool:
@@ -85,9 +94,9 @@ LINK_SCALE = f"linear-gradient(90deg, {', '.join(css_rgb(rgb) for rgb in SCALE.t
 MAP_COLOURS = {state: css_rgb(MAP_RGBA[state, :3].tolist()) for state in (FREE, WALL, MARK)}
 ENTRIES: dict[str, tuple[Entry, ...]] = {
     "Rings": (Entry(OWN, "robot; the tip of its ring is ahead", _has_robots),),
-    "Laser fans": (Entry(OWN, "laser scan, in its robot's colour", _has_robots),),
-    "Sonar cones": (Entry(OWN, "sonar, in its robot's colour", _has_robots),),
-    "Infrared lines": (Entry(css_rgb(IR_RGB.tolist()), "infrared sensor", _has_robots),),
+    "Laser fans": (Entry(OWN, "laser scan, in its robot's colour", partial(_has_sensor, RangeScanner)),),
+    "Sonar cones": (Entry(OWN, "sonar, in its robot's colour", partial(_has_sensor, Sonar)),),
+    "Infrared lines": (Entry(css_rgb(IR_RGB.tolist()), "infrared sensor", partial(_has_sensor, Ir)),),
     "Trails": (Entry(OWN, "trail of a robot", _has_trail),),
     "Tags": (
         Entry(css_rgb(TAG_RGB), "radio tag (RFID) with its number", _has_tags),
