@@ -46,23 +46,23 @@ def with_measurements(robot: RobotSpec) -> RobotSpec:
 
 def bounding_box(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner of the box around a robot at rest [m] (3,), MuJoCo's axes."""
+    return bounding_corners(*_robot_at_rest(robot))
+
+
+def _robot_at_rest(robot: RobotSpec) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
+    """Return the model of a robot in an empty arena, its data at rest, and which geoms are its own (n,)."""
     spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    own = model.geom_bodyid >= 2  # bodies 0 and 1 are the world and the arena
-    return bounding_corners(model, data, own)
+    return model, data, model.geom_bodyid >= 2  # bodies 0 and 1 are the world and the arena
 
 
 def chassis_heights(robot: RobotSpec) -> np.ndarray:
     """Return how high the lowest point of each of the chassis' solids is above that of the robot [m] (n,)."""
-    spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
-    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data, own = _robot_at_rest(robot)
     lows = np.zeros(len(robot.chassis))
     for i in range(len(lows)):
         lows[i] = lowest_point(model, data, np.arange(model.ngeom) == model.geom(f"chassis/{i}").id)
-    return lows - lowest_point(model, data, model.geom_bodyid >= 2)
+    return lows - lowest_point(model, data, own)
