@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -158,14 +158,15 @@ def view(
             page.close()
 
 
-def rendered(file: Path, period: float | None, world: int | None = None) -> "Iterable[CameraShot]":
-    """Return pictures of the cameras in a recording, rendered as they are taken; none without a period."""
+def rendered(file: Path, period: float | None, world: int | None = None) -> "Iterator[CameraShot]":
+    """Yield pictures of the cameras in a recording, rendered as they are taken; none without a period."""
     if period is None:
-        return ()
+        return
     from usarmjx.plots.films.eyes import camera_shots
     from usarmjx.recording.reader import Recording
 
-    return camera_shots(Recording(file), period, world)
+    with contextlib.closing(Recording(file)) as recording:
+        yield from camera_shots(recording, period, world)
 
 
 def tell_if_broken_off(is_complete: bool, file: Path) -> None:
