@@ -1,8 +1,9 @@
 """Options and helpers that the commands of all sub-applications share."""
 
+import signal
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -52,6 +53,17 @@ class ErrorExit:
         with suppress(OSError):  # the error stream may go to the same disk
             typer.echo(f"usarmjx: {one_line(text)}", err=True)
         raise typer.Exit(BAD_INPUT if isinstance(error, UsageError | OSError) else FAILED)
+
+
+def ends_on_signals() -> AbstractContextManager[object]:
+    """Return a context in which SIGINT and SIGTERM end a command that has nothing to keep, at once.
+
+    Python's own handler waits for XLA, which may compile for minutes. A SIGINT that is ignored stays so.
+    """
+    from usarmjx.server.runtime.signals import StopSignals
+
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return nullcontext() if ignored else StopSignals()
 
 
 def named_roster(ctx: typer.Context, value: Any) -> Any:  # noqa: ANN401 - a roster or several

@@ -16,6 +16,7 @@ from usarmjx.cli.common import (
     PiecesOption,
     SeedOption,
     TaskRobotOption,
+    ends_on_signals,
     named,
     with_robot,
 )
@@ -80,7 +81,7 @@ def teams(
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
 ) -> None:
     """Compare teams in the same buildings: parts of their scores, and times of their finds."""
-    with ErrorExit():
+    with ErrorExit(), ends_on_signals():
         for name in names or ():
             check_policy(name, TEAM_WORDS)
         pairs = task_pairs(task, with_robot(settings, robot), config)
@@ -217,7 +218,7 @@ def evaluate_policy(
     ] = None,
 ) -> None:
     """Report a policy's mean final score with its 95 % interval."""
-    with ErrorExit():
+    with ErrorExit(), ends_on_signals():
         driver.check()
         if driver.print_config:
             driver.print_fields()

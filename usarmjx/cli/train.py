@@ -1,7 +1,6 @@
 """`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -34,6 +33,7 @@ from usarmjx.cli.common import (
     PortOffsetOption,
     TaskRobotOption,
     chosen_out,
+    ends_on_signals,
     named,
     with_robot,
 )
@@ -45,7 +45,7 @@ from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_ta
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import field_texts, fields_over, task_text
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
-from usarmjx.server.runtime.signals import PARENT_PIPE, StopSignals
+from usarmjx.server.runtime.signals import PARENT_PIPE
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
@@ -482,9 +482,7 @@ def stop_request() -> "Generator[StopRequest]":
     from usarmjx.train.learning.stopping import StopRequest
 
     with ExitStack() as early:
-        # Python's own handler waits for XLA, which may compile for minutes.
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            early.enter_context(StopSignals())
+        early.enter_context(ends_on_signals())
         with StopRequest(say, early.close) as request:
             yield request
 
