@@ -185,3 +185,61 @@ def test_a_training_that_iterates_ends_with_its_checkpoint(number):
     out, err, _ = end(process, number)
     assert (process.returncode, out) == (0, f"checkpoint {int(number)}\n")
     assert "ending with a checkpoint" in err
+
+
+COMMAND = """
+import hashlib, sys, time
+import usarmjx.cli.play, usarmjx.sweeps.run
+from usarmjx.base.status_line import StatusLine
+from usarmjx.cli.app import app
+
+class Terminal:
+    write, flush, isatty = sys.stderr.write, sys.stderr.flush, lambda self: {terminal}
+
+def work(*args, **more):
+    StatusLine(Terminal()).show("3 of 4 cells") if {terminal} else None
+    print("compiling", flush=True)
+    {work}
+
+usarmjx.cli.play._draw_episode = usarmjx.sweeps.run.play_prepared = work
+app({words}, standalone_mode=True)
+"""
+SWEEP = ["sweep", "teams", "--set", "task=drive-to-goal", "--set", "roster=[P2AT]", "--part", "1/99"]
+
+
+@pytest.mark.parametrize("work", [COMPILE, "time.sleep(600)"])
+@pytest.mark.parametrize("words", [SWEEP, ["play", "drive-to-goal"]])
+def test_commands_that_compile_end_at_once_with_a_line(words, work, tmp_path):
+    words = [*words, "--out", str(tmp_path / ("x.png" if words[0] == "play" else "x"))]
+    process = launch(COMMAND.format(words=words, work=work, terminal=False))
+    assert process.stdout.readline() == "compiling\n"
+    time.sleep(0.5)  # the work has begun
+    _, err, took = end(process, signal.SIGINT)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "usarmjx: stopped by SIGINT"
+    assert "Traceback" not in err
+    assert took < LIMIT
+
+
+def test_a_line_of_progress_is_cleared_before_the_last_line(tmp_path):
+    words = [*SWEEP, "--out", str(tmp_path)]
+    process = launch(COMMAND.format(words=words, work=COMPILE, terminal=True))
+    assert process.stdout.readline() == "compiling\n"
+    time.sleep(0.5)
+    _, err, _ = end(process, signal.SIGINT)
+    assert err.endswith("\n\033[K3 of 4 cells\n\033[Kusarmjx: stopped by SIGINT\n")
+
+
+def test_a_recorded_episode_closes_its_file():
+    code = (
+        "import pathlib, sys, time; from usarmjx.cli.play import drawing_signals\n"
+        "with drawing_signals(pathlib.Path('x.mcap')):\n"
+        "    try: print('at work', flush=True); time.sleep(600)\n"
+        "    finally: print('closed', flush=True)"
+    )
+    process = launch(code)
+    assert process.stdout.readline() == "at work\n"
+    out, err, took = end(process, signal.SIGINT)
+    said = "usarmjx: stopped by SIGINT: x.mcap ends there\n"
+    assert (process.returncode, out, err) == (130, "closed\n", said)
+    assert took < LIMIT

@@ -15,8 +15,8 @@ import pytest
 
 from usarmjx.base.errors import UsageError
 from usarmjx.sweeps import ray_workers
+from usarmjx.sweeps.guard import children, end_with_this_process
 from usarmjx.sweeps.local_workers import TRIES
-from usarmjx.sweeps.ray_workers import children, end_with_this_process
 from usarmjx.sweeps.workers import Workers, gpus
 
 work = builtins.eval
@@ -124,7 +124,7 @@ def is_alive(process):
 def test_what_ray_starts_ends_with_the_process_that_started_it():
     """A process in Ray's place: a child of a parent that is killed, and is not told to end."""
     code = (
-        "import subprocess, sys; from usarmjx.sweeps.ray_workers import children, end_with_this_process\n"
+        "import subprocess, sys; from usarmjx.sweeps.guard import children, end_with_this_process\n"
         "before = children(); child = subprocess.Popen(['sleep', '60'])\n"
         "guard = end_with_this_process(children() - before); print(child.pid, flush=True); sys.stdin.read()"
     )

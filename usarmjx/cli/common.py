@@ -12,6 +12,7 @@ import typer
 from usarmjx.base.errors import MAX_QUOTATION, UsageError, UsarmjxError, one_line
 from usarmjx.base.files import disk_error
 from usarmjx.base.settings import RenamedSettingWarning
+from usarmjx.base.status_line import clear_status
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
 from usarmjx.cli.known_names import check_name, check_roster
 
@@ -51,6 +52,7 @@ class ErrorExit:
         if text is None:
             return False
         with suppress(OSError):  # the error stream may go to the same disk
+            clear_status()
             typer.echo(f"usarmjx: {one_line(text)}", err=True)
         raise typer.Exit(BAD_INPUT if isinstance(error, UsageError | OSError) else FAILED)
 

@@ -1,14 +1,16 @@
 """`usarmjx play`: what a policy does, as a picture, in a browser, or served."""
 
 import math
-from collections.abc import Sequence
+import signal
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.cli.common import ErrorExit, WorldsOption
+from usarmjx.cli.common import ErrorExit, WorldsOption, ends_on_signals
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
 from usarmjx.cli.ros2_options import Ros2Options
@@ -22,7 +24,7 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
 )
 from usarmjx.cli.setting_options import with_settings
-from usarmjx.cli.startup_messages import announce
+from usarmjx.cli.startup_messages import announce, say
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.signals import StopSignals
 from usarmjx.server.worlds.instances import parse_instances
@@ -77,7 +79,8 @@ def play(
             driver.print_fields()
             return
         if not (serve or view):
-            _draw_episode(driver, engine, out, seconds, run.record)
+            with drawing_signals(run.record):
+                _draw_episode(driver, engine, out, seconds, run.record)
             return
         # A picture in a browser needs no ports of its own for clients; they may come all the same.
         listen = listen if serve else replace(listen, port=0)
@@ -100,6 +103,24 @@ def play(
             worlds, more = _policy_worlds(driver, served, engine, host.numbers)
             heard = radio.constants if serve and radio.wanted else None
             host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more, radio=heard)
+
+
+@contextmanager
+def drawing_signals(record: Path | None) -> Generator[None]:
+    """While an episode is drawn, end at once on a signal; a recording is closed before, if there is one."""
+    if record is None or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        with ends_on_signals():
+            yield
+        return
+    with StopSignals() as signals:
+        signals.finish_files(
+            lambda: None
+        )  # so that the main thread leaves its contexts, which close the file
+        try:
+            yield
+        except SystemExit as end:
+            say(f"stopped by {signal.Signals(int(end.code or 0) - 128).name}: {record} ends there")
+            raise
 
 
 def _draw_episode(

@@ -19,6 +19,7 @@ from usarmjx.base.compilation import (
 )
 from usarmjx.base.errors import one_line
 from usarmjx.base.process import fit_pool_to_cores
+from usarmjx.base.status_line import clear_status
 
 FIRST, INTERVAL = 3.0, 10.0
 """Time after which a compilation is reported, and interval of further reports [s]."""
@@ -88,6 +89,7 @@ class CompilationWatch:
 def say(text: str) -> None:
     """Write a line to the standard error stream; unheard where that is a file and the disk is full."""
     with suppress(OSError):
+        clear_status()
         typer.echo(f"usarmjx: {text}", err=True)
 
 

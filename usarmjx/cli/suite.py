@@ -9,7 +9,7 @@ import typer
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.registry import unknown_name
-from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.common import ErrorExit, ends_on_signals
 from usarmjx.cli.known_names import check_run
 from usarmjx.cli.startup_messages import announce, tried_on
 from usarmjx.cli.sweep import CellEngineOption, RunOnOption, SweepQuietOption, WorkerCountOption, say_line
@@ -43,7 +43,7 @@ def run(
     quiet: SweepQuietOption = False,
 ) -> None:
     """Play all runs of a method through a suite, and write a results file for each."""
-    with ErrorExit():
+    with ErrorExit(), ends_on_signals():
         from usarmjx.sweeps.spec import SPLITS_OF_SUITES, find_suite
 
         file = find_suite(suite)
@@ -140,7 +140,7 @@ def replay(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each task.")] = 3,
 ) -> None:
     """Play the first buildings of a results file again, and print the differences."""
-    with ErrorExit():
+    with ErrorExit(), ends_on_signals():
         from usarmjx.sweeps.spec import find_suite
 
         if suite is not None:

@@ -10,10 +10,18 @@ from typer.core import TyperGroup
 
 from usarmjx.base.settings import parse_assignments, read_file
 from usarmjx.cli.checkout import import_benchmarks
-from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, TaskRobotOption, named, with_robot
+from usarmjx.cli.common import (
+    ErrorExit,
+    PackagesOption,
+    PiecesOption,
+    TaskRobotOption,
+    ends_on_signals,
+    named,
+    with_robot,
+)
 from usarmjx.cli.completion import complete_engines
 from usarmjx.cli.known_names import check_file
-from usarmjx.cli.startup_messages import announce, tried_on
+from usarmjx.cli.startup_messages import announce, say, tried_on
 
 COMMANDS = ("run", "show", "compare", "report")
 
@@ -125,7 +133,7 @@ def run(
     pieces: PiecesOption = None,
 ) -> None:
     """Play the cells of a sweep that have no result yet, and report the results of all."""
-    with ErrorExit():
+    with ErrorExit(), ends_on_signals():
         begun = time.perf_counter()
         from usarmjx.sweeps.spec import find_spec, load_spec
 
@@ -221,7 +229,7 @@ def _show_plan(spec: Any, prepared: Any, workers: Any, probe: bool) -> None:  # 
 
 def say_line(line: str) -> None:
     """Write a line of a plan to the standard error stream."""
-    typer.echo(f"usarmjx: {line}", err=True)
+    say(line)
 
 
 def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 from usarmjx.sim.world import Stream, episode_key
 from usarmjx.sweeps.batch import CellEpisodes
 from usarmjx.sweeps.drivers import CellDriver
+from usarmjx.sweeps.guard import children, end_with_this_process
 from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, TaskView
@@ -160,6 +161,7 @@ async def _until_over(
 def _started(command: str, ports: Sequence[int]) -> Generator[list[subprocess.Popen[bytes]]]:
     """Start a client for each port; in the end those are ended that have not."""
     clients: list[subprocess.Popen[bytes]] = []
+    guard, before = None, children()
     try:
         for number, port in enumerate(ports):
             words = [
@@ -172,6 +174,7 @@ def _started(command: str, ports: Sequence[int]) -> Generator[list[subprocess.Po
             except OSError as error:
                 reason = error.strerror or error
                 raise UsageError(f"client {command!r} cannot be started: {reason}") from error
+        guard = end_with_this_process(children() - before)
         yield clients
     finally:
         for client in clients:
@@ -182,3 +185,6 @@ def _started(command: str, ports: Sequence[int]) -> Generator[list[subprocess.Po
             except subprocess.TimeoutExpired:
                 client.kill()
                 client.wait()
+        if guard is not None:
+            guard.kill()
+            guard.wait()

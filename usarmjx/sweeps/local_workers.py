@@ -101,7 +101,12 @@ class _Worker:
         self.connection, far = context.Pipe()
         arguments = self.work, far, self.device
         self.process = context.Process(target=_serve, args=arguments, daemon=True)
-        self.process.start()
+        # Ctrl-C is this process's own: in one that still imports it would be a traceback.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self.process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         far.close()  # so that the end of the process is the end of the pipe
 
     def result(self) -> tuple[Any, str | None]:

@@ -3,14 +3,14 @@
 import logging
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.installation import install_command
+from usarmjx.base.status_line import clear_status
+from usarmjx.sweeps.guard import children, end_with_this_process
 from usarmjx.sweeps.local_workers import TRIES, PieceOutcome, PieceWork
 
 log = logging.getLogger(__name__)
@@ -21,18 +21,6 @@ RETURN = 300.0
 """Longest time for a cluster that was lost to come back [s]."""
 MAX_LOSSES = 3
 """Most losses of the cluster without a result between them."""
-GUARD = """
-import os, signal, sys
-given = [line.split() for line in sys.stdin]
-for number, began in given:
-    try:
-        with open(f"/proc/{number}/stat") as file:
-            if file.read().rpartition(")")[2].split()[19] == began:
-                os.kill(int(number), signal.SIGKILL)
-    except OSError:
-        pass
-"""
-"""Program that ends the processes whose numbers and times of start it is given, as soon as its input ends."""
 
 
 def work_on_ray(
@@ -115,38 +103,6 @@ class _Connection:
             self._guard.wait()
 
 
-def children() -> set[str]:
-    """Return the processes that this one has started, as numbers and times of start; Linux only."""
-    found = set[str]()
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-        except OSError:
-            continue
-        if fields[1] == str(os.getpid()):
-            found.add(f"{stat.parent.name} {fields[19]}")
-    return found
-
-
-def end_with_this_process(processes: set[str]) -> "subprocess.Popen[bytes] | None":
-    """Start a process that ends others if this one ends before it; None: there are none.
-
-    Ray's own processes stay when the one that started them is killed.
-
-    Args:
-        processes: Some of `children`.
-    """
-    if not processes:
-        return None
-    guard = subprocess.Popen(
-        [sys.executable, "-I", "-c", GUARD], stdin=subprocess.PIPE, start_new_session=True
-    )
-    assert guard.stdin is not None
-    guard.stdin.write("".join(f"{one}\n" for one in sorted(processes)).encode())
-    guard.stdin.flush()
-    return guard
-
-
 def _by_actors(
     ray: Any,  # noqa: ANN401
     work: PieceWork,
@@ -208,6 +164,7 @@ def _renew(connection: _Connection | None, losses: int) -> None:
     lost = "the cluster of Ray does not answer any more"
     if connection is None or losses > MAX_LOSSES:
         raise UsageError(f"{lost}; finished cells are kept: run it again to go on")
+    clear_status()
     log.warning("%s; connecting to it again", lost)
     connection.renew()
 

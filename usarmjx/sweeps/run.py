@@ -13,6 +13,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.installation import install_command
+from usarmjx.base.status_line import StatusLine
 from usarmjx.engines import choose_engine
 from usarmjx.sweeps.contents import key_of
 from usarmjx.sweeps.play import BatchWork, failure, forget_resolved, halves, play_batch, resolved
@@ -117,7 +118,6 @@ def plan_batches(
 INTERVAL = 10.0
 """Interval of progress lines without a terminal [s]."""
 TERMINAL_INTERVAL = 0.2
-CLEAR = "\r\033[K"
 
 
 class SweepProgress:
@@ -129,11 +129,10 @@ class SweepProgress:
     """
 
     def __init__(self, cells: int, stream: TextIO | None = None) -> None:
-        self.cells, self._stream = cells, stream
-        self._terminal = stream is not None and stream.isatty()
+        self.cells = cells
+        self._status = None if stream is None else StatusLine(stream)
         self._begun = self._last = time.monotonic()
         self.done = self.failed = 0
-        self._shown = False
 
     def within(self, batch: int, share: float) -> None:
         """Report that a share of a batch of cells is played."""
@@ -146,13 +145,11 @@ class SweepProgress:
 
     def _say(self, done: float) -> None:
         now = time.monotonic()
-        if self._stream is None or now - self._last < (TERMINAL_INTERVAL if self._terminal else INTERVAL):
+        if self._status is None:
             return
-        self._last = now
-        line = self.line(done, now - self._begun)
-        self._stream.write(f"{CLEAR}{line}" if self._terminal else f"{line}\n")
-        self._stream.flush()
-        self._shown = True
+        if now - self._last >= (TERMINAL_INTERVAL if self._status.terminal else INTERVAL):
+            self._last = now
+            self._status.show(self.line(done, now - self._begun))
 
     def line(self, done: float, seconds: float) -> str:
         """Return the line after a number of cells and seconds."""
@@ -161,10 +158,9 @@ class SweepProgress:
         return f"usarmjx: {self.done} of {self.cells} cells{failed}, {duration_text(seconds)}{left}"
 
     def close(self) -> None:
-        """Leave the line as it is, and begin the next one."""
-        if self._terminal and self._shown and self._stream is not None:
-            self._stream.write(CLEAR)
-            self._stream.flush()
+        """Clear the line: other output follows."""
+        if self._status is not None:
+            self._status.clear()
 
 
 def duration_text(seconds: float) -> str:

@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
+from usarmjx.base.status_line import CLEAR, is_status_shown
+
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 END_TIME = 1.0
 """Time from a signal to the forced end of the process [s]."""
@@ -116,7 +118,8 @@ def _outlive_nobody(pipe: int) -> None:
 def _end_unfinished(number: int) -> None:
     """End the process before it serves: with a line, and the status that shells give for the signal."""
     with contextlib.suppress(OSError):
-        os.write(2, f"usarmjx: stopped by {signal.Signals(number).name}\n".encode())
+        start = CLEAR if is_status_shown() else ""
+        os.write(2, f"{start}usarmjx: stopped by {signal.Signals(number).name}\n".encode())
     exit_now(128 + number)
 
 
