@@ -7,17 +7,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import POSITIVE, Setting, from_data, read_file, validate
-from usarmjx.cli.setting_options import (
-    ConfigOption,
-    PrintConfigOption,
-    SetOption,
-    help_table,
-    print_config,
-    resolve_settings_of,
-    with_settings,
-)
+from usarmjx.cli.setting_options import help_table, print_config, with_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,39 +95,11 @@ def test_help_has_meaning_limits_and_default_of_each():
     assert "--inner" not in text
 
 
-def configured(*words: str):
-    app, seen = typer.Typer(), []
-
-    @app.command()
-    def go(pairs: SetOption = None, config: ConfigOption = None, show: PrintConfigOption = False) -> None:
-        found = resolve_settings_of(Drive, base=Drive(turn=1), config=config, pairs=pairs or ())
-        seen.append(found)
-        if show:
-            print_config(found)
-
-    result = CliRunner().invoke(app, list(words))
-    return result, seen
-
-
-def test_later_sources_count(tmp_path: Path):
-    file = tmp_path / "run.yaml"
-    file.write_text("radius: 2\nsizes: [8]\ninner: {depth: 5}\n")
-    result, seen = configured("--config", str(file), "--set", "radius=3", "-c", "fast=yes")
-    assert result.exit_code == 0, result.output
-    assert seen == [Drive(turn=1.0, radius=3.0, sizes=(8,), fast=True, inner=Inner(depth=5))]
-    assert resolve_settings_of(Drive, config=file, given={"radius": "4"}).radius == 4.0
-
-
-def test_a_setting_is_given_once():
-    with pytest.raises(UsageError, match="radius is given twice, by --radius and by --set"):
-        resolve_settings_of(Drive, pairs=["radius=1"], given={"radius": "1"})
-
-
-def test_a_printed_file_is_read_again(tmp_path: Path):
-    result, seen = configured("--print-config", "--set", "inner.depth=3", "--set", "turn=90deg")
-    file = tmp_path / "run.yaml"
-    file.write_text(result.output)
-    assert from_data(Drive, read_file(file)) == seen[0]
+def test_a_printed_file_is_read_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    drive, file = Drive(turn=math.pi / 2, inner=Inner(depth=3)), tmp_path / "run.yaml"
+    print_config(drive)
+    file.write_text(capsys.readouterr().out)
+    assert from_data(Drive, read_file(file)) == drive
 
 
 def test_table_for_a_help():

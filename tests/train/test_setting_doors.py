@@ -95,16 +95,23 @@ def test_widths_of_layers_are_whole_numbers(text):
 
 
 def test_file_and_options_add_up(tmp_path):
-    """The last counts: file, then `--set`; fields of the task are texts that records keep."""
+    """The last counts: file, `--set`, own options; fields of the task are texts that records keep."""
     file = tmp_path / "run.yaml"
     file.write_text("gamma: 0.9\nradius: 1e-3\nradio: {cutoff: -60}\nphysics: fast\n")
     pairs = ["gamma=0.8", "radio.pdo=-40", "physics.iterations=3"]
-    found = read_settings(make_task(TASK), TrainOptions(**{**OPTIONS, "pairs": pairs}, config=file))
-    assert found.training == {"gamma": 0.8}
+    options = {**OPTIONS, "pairs": pairs, "given": {"num_worlds": 8}}
+    found = read_settings(make_task(TASK), TrainOptions(**options, config=file))
+    assert found.training == {"gamma": 0.8, "num_worlds": 8}
     assert found.fields == {
         "radius": "0.001", "radio.cutoff": "-60", "physics": "fast", "radio.pdo": "-40",
         "physics.iterations": "3",
     }  # fmt: skip
+
+
+def test_a_setting_is_given_once():
+    options = TrainOptions(**{**OPTIONS, "pairs": ["gamma=0.8"], "given": {"gamma": 0.9}})
+    with pytest.raises(UsageError, match="gamma is given twice, by --gamma and by --set"):
+        read_settings(make_task(TASK), options)
 
 
 def test_the_page_has_the_table_of_the_declarations():

@@ -1,7 +1,7 @@
 """Command-line options from the declarations of settings: typed once, shown, read and completed alike."""
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import MISSING, field, is_dataclass, make_dataclass
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
 import typer
 from typer.models import OptionInfo, ParameterInfo
 
-from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import (
     Setting,
     SettingField,
@@ -18,8 +17,6 @@ from usarmjx.base.settings import (
     default_reader,
     describe,
     members_of,
-    nested_texts,
-    parse_assignments,
     read_file,
     settings_table,
     summary,
@@ -35,10 +32,6 @@ MOST_LISTED = 4
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", "-c", metavar="NAME=VALUE", help="A setting, as listed below; may be repeated."),
-]
 CONFIG_HELP = "Settings from a YAML, JSON or TOML file."
 ConfigOption = Annotated[Path | None, typer.Option("--config", metavar="FILE", help=CONFIG_HELP)]
 PrintConfigOption = Annotated[
@@ -142,36 +135,6 @@ def _declared(parameter: inspect.Parameter, note: OptionInfo) -> Any:  # noqa: A
 def option_name(field: str) -> str:
     """Return the option of a field: `num_worlds` -> `--num-worlds`."""
     return f"--{field.replace('_', '-')}"
-
-
-def resolve_settings_of(
-    kind: type[T],
-    *,
-    base: T | None = None,
-    config: Path | None = None,
-    pairs: Iterable[str] = (),
-    given: Mapping[str, str] | None = None,
-) -> T:
-    """Return settings by their sources; later ones count: base, file, `--set`, options of their own.
-
-    Args:
-        kind: The dataclass.
-        base: Settings that hold where no source has any; None: the defaults.
-        config: Value of `--config`.
-        pairs: Values of `--set`.
-        given: Values of options, by field.
-
-    Raises:
-        UsageError: A setting that there is not, or a value that it may not have; names source and limits.
-    """
-    reader = default_reader()
-    if config is not None:
-        base = reader.from_data(kind, read_file(config), base=base)
-    texts = parse_assignments(pairs, "--set")
-    own = {name: Text(text, option_name(name)) for name, text in (given or {}).items()}
-    if twice := sorted(own.keys() & texts.keys()):
-        raise UsageError(f"{twice[0]} is given twice, by {option_name(twice[0])} and by --set")
-    return reader.from_data(kind, nested_texts({**texts, **own}), where="--set", base=base)
 
 
 def print_config(instance: object) -> None:
