@@ -23,10 +23,13 @@ PATH_VARIABLES = (
     "GZ_SIM_RESOURCE_PATH",
     "IGN_GAZEBO_RESOURCE_PATH",
     "GAZEBO_MODEL_PATH",
+    "GAZEBO_RESOURCE_PATH",
 )
 """Environment variables with folders that hold packages and models."""
 MODEL_FOLDERS = ("models",)
 """Names of folders beside a world's that hold models."""
+MEDIA_FOLDERS = ("Media", "media")
+"""Names of folders of packages in whose `models` Gazebo finds `file://` names without a folder."""
 SEARCH_DEPTH = 3
 """Levels of folders searched below each such folder."""
 MAX_SEARCHED_FOLDERS = 20_000
@@ -56,8 +59,17 @@ class Resources:
                 found = (home / inside for home in self.packages(package, origin))
                 return next((path for path in found if path.exists()), None)
         plain = Path(unquote(name.removeprefix("file://")))
-        tries = (plain,) if plain.is_absolute() else (base / plain for base in self._bases(origin))
+        tries = (plain,) if plain.is_absolute() else self._places(plain, origin)
         return next((path for path in tries if path.exists()), None)
+
+    def _places(self, name: Path, origin: Path) -> Iterator[Path]:
+        """Yield the files that a relative name may mean: beside the file, then in folders of media."""
+        for base in self._bases(origin):
+            yield base / name
+        for base in self._bases(origin):
+            for folder in (base, *_folders(base)):
+                for media in MEDIA_FOLDERS:
+                    yield folder / media / "models" / name
 
     def packages(self, package: str, origin: Path) -> Iterator[Path]:
         """Yield the folders that a package's or a model's name may mean: above the file, then elsewhere."""
