@@ -71,6 +71,7 @@ WRONG = {
     ("play", "policy"): ("play {} --view", POLICY),
     ("play", "robot"): ("play explore --robot {}", ROBOT),
     ("play", "task"): ("play explore --task {}", TASK),
+    ("portraits", "robot"): ("portraits P2DX --robot {} --out x.png", ROBOT),
     ("portraits", "robots"): ("portraits P2DX {} --out x.png", ROBOT),
     ("radio-map", "arena"): ("radio-map {} --from 0,0 --out x.png", ARENA),
     ("robot export", "robot"): ("robot export {} --out x.xml", ROBOT),

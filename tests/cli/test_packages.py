@@ -85,3 +85,12 @@ def test_pieces_reach_the_readers_until_the_command_ends():
 def test_robot_of_a_task_is_its_field():
     assert with_robot(["radius=1"], "cart.urdf") == ["radius=1", "robot=cart.urdf"]
     assert with_robot(None, None) == []
+
+
+def test_a_robot_is_named_as_its_file_in_a_folder_of_robots(lost):
+    found = run("portraits", "--robot", "mesh_wheels", "--packages", CASES, "--out", lost.parent / "tub.png")
+    assert found.exit_code == 0, found.stderr
+    assert (lost.parent / "tub.png").stat().st_size > 1000
+    found = run("portraits", "--robot", "mesh_wheel", "--packages", CASES, "--out", lost.parent / "tub.png")
+    assert found.exit_code == 2
+    assert "mesh_wheel" in found.stderr

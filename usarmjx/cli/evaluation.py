@@ -119,7 +119,7 @@ def _compare(
         check_figure(out)  # before minutes of play
     set_by_hand, _ = task_settings(task, {}, pairs)
     played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
-    chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
+    chosen = list(dict.fromkeys(names)) if names else None
     watch = yardsticks.ignore if out is None else seen
     how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
     rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)

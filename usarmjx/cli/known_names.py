@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.registry import Registry, unknown_name
+from usarmjx.models.files.resources import search_path
 from usarmjx.train.policies import POLICIES, no_policy
 
 if TYPE_CHECKING:
@@ -92,6 +93,8 @@ def check_name(kind: str, name: str) -> None:
 def _may_be_new(kind: str, name: str) -> bool:
     """Return whether a file, a program or a source that is newer than the table may have a name."""
     if kind in FROM_FILES and (Path(name).suffix or Path(name).is_file()):
+        return True
+    if kind == "robot" and any(search_path()):
         return True
     if kind == "arena" and name.lower() in {one.lower() for one in table()["lane aliases"]}:
         return True

@@ -25,6 +25,12 @@ def portraits(
         list[str] | None,
         typer.Argument(help="Robot classes or files; all without any.", autocompletion=complete_robots),
     ] = None,
+    robot: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Robot class or file, as the arguments; may be repeated.", autocompletion=complete_robots
+        ),
+    ] = None,
     out: OutOption = None,
     packages: PackagesOption = None,
     pieces: PiecesOption = None,
@@ -35,6 +41,7 @@ def portraits(
         # Once the file came first.
         old = Path(named.pop(0)) if out is None and named and named[0].lower().endswith(".png") else None
         where = chosen_out(out, old)
+        named += robot or ()
         for name in named:
             check_name("robot", name)
         announce("drawing robots ...")

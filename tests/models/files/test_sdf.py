@@ -232,6 +232,32 @@ def test_a_box_on_an_upright_hinge_is_a_door_and_other_joints_are_held(tmp_path)
     assert "joint 'hinge' of type 'revolute' is held at zero" in notes[0]
 
 
+def test_a_door_with_a_handle_hangs_in_a_frame_that_a_joint_without_a_range_holds(tmp_path):
+    """Doors of Gazebo's libraries: joints from the leaf to the world, the frame held by limits of 0 and 0."""
+    leaf = solid("leaf", "1 0.04 2", "0 0 1 0 0 0", "<inertial><mass>9</mass></inertial>")
+    post, handle = (
+        solid("post", "0.1 0.1 2", "-0.55 0 1 0 0 0"),
+        solid("handle", "0.2 0.03 0.03", "0.4 0 1 0 0 0"),
+    )
+    turns = "<joint name='knob' type='revolute'><parent>leaf</parent><child>{}</child></joint>"
+    foot = (
+        "<joint name='foot' type='revolute'><parent>world</parent><child>post</child><axis><xyz>0 1 0</xyz>"
+    )
+    foot += "<limit><lower>0</lower><upper>0</upper></limit></axis></joint>"
+    joints = f"{turns.format('handle')}{HINGE.format('post', 1, 0)}{foot}"
+    text = f"<model name='gate'>{post}{leaf}{handle}{joints}</model>"
+    arena, notes = read(tmp_path, text)
+    (door,) = arena.doors
+    assert (door.at[:2], door.limits, door.mass) == (pytest.approx((-0.5, 0)), (0, 1.5), 10)
+    assert (len(arena.shapes), arena.loose) == (1, ())
+    assert [note.rpartition(": ")[2] for note in notes] == [
+        "1 solids on the door 'gate::leaf', up to 0.3 m long, are left out",
+        "joint 'knob' of type 'revolute' is held at zero",
+    ]
+    arena, _ = read(tmp_path, text.replace("0.2 0.03 0.03", "0.4 0.03 0.03"))
+    assert not arena.doors, "no handle is as long"
+
+
 def test_planes_lamps_and_colours(tmp_path):
     plane = "<plane><normal>0 0 1</normal><size>8 6</size></plane>"
     plane = f"<collision name='p'><geometry>{plane}</geometry></collision>"

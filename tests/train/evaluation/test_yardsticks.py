@@ -23,6 +23,7 @@ from usarmjx.train.evaluation.yardsticks import (
     random_policy,
     table,
     team_result,
+    unchanged,
     with_perfect_radio,
 )
 from usarmjx.train.make import make_task
@@ -151,6 +152,21 @@ def test_all_teams_play_in_the_same_held_out_buildings(games):
     games.clear()
     measure_teams("explore-v2", 4, split="train", arena=SMALL)
     assert held_out(games[0][1].arena) is None
+
+
+def test_a_packaged_policy_for_other_robots_is_left_out_unless_it_is_named(games, monkeypatch):
+    def refused(env):
+        raise UsageError("packaged is for another robot")
+
+    monkeypatch.setattr(yardsticks, "TEAMS", {**yardsticks.TEAMS, "packaged": (unchanged, refused)})
+    warnings = []
+    measure_teams("explore-v2", 4, warn=warnings.append, arena=SMALL)
+    assert [name for name, *_ in games] == [name for name in TEAMS if name != "packaged"]
+    assert warnings == ["packaged is left out: packaged is for another robot"]
+    games.clear()
+    with pytest.raises(UsageError, match="for another robot"):
+        measure_teams("explore-v2", 4, teams=("random", "packaged"), arena=SMALL)
+    assert games == [], "refused before anybody plays"
 
 
 def test_policies_see_advice_as_in_training_and_by_hand_always(games):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.registry import unknown_name
-from usarmjx.models.files.resources import mesh_pieces, search_path
+from usarmjx.models.files.resources import Resources, mesh_pieces, search_path
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 
@@ -20,11 +20,12 @@ _loaded: dict[tuple[object, ...], RobotSpec] = {}
 def find_robot(robot: str | RobotSpec) -> RobotSpec:
     """Return a registered robot class by its name, or the one in a file; a `RobotSpec` is itself.
 
-    A robot from a file is registered under its class name. Names that come over a network are not for this
-    function: it reads files.
+    Another name is that of a file without its suffix in the folders of `--packages`, ROS and Gazebo. A robot
+    from a file is registered under its class name. Names that come over a network are not for this function:
+    it reads files.
 
     Raises:
-        UnknownNameError: Neither a known name nor the name of a file.
+        UnknownNameError: Neither a known name nor that of a file.
         SpecError: An unreadable file.
         UsageError: A file whose robot has the name of another robot.
     """
@@ -35,6 +36,9 @@ def find_robot(robot: str | RobotSpec) -> RobotSpec:
     path = Path(robot)
     if path.suffix.lower() in ROBOT_SUFFIXES or path.is_file():
         return register_robot_file(path)
+    found = Resources().named(robot, ROBOT_SUFFIXES) if path.name == robot else None
+    if found is not None:
+        return register_robot_file(found)
     refusal = unknown_name("robot", robot, ROBOTS.names())
     raise UnknownNameError(f"{refusal}; or a file: {', '.join(ROBOT_SUFFIXES)}")
 

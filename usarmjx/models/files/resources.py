@@ -71,6 +71,15 @@ class Resources:
                 for media in MEDIA_FOLDERS:
                     yield folder / media / "models" / name
 
+    def named(self, stem: str, suffixes: Sequence[str]) -> Path | None:
+        """Return the first file of a name, without its suffix, in the search path; None: there is none."""
+        for base in self._search_path():
+            for folder in _levels(base):
+                for suffix in suffixes:
+                    if (file := folder / f"{stem}{suffix}").is_file():
+                        return file
+        return None
+
     def packages(self, package: str, origin: Path) -> Iterator[Path]:
         """Yield the folders that a package's or a model's name may mean: above the file, then elsewhere."""
         if not package or package in (".", ".."):
@@ -153,14 +162,18 @@ def _set_variable(name: str, value: str) -> Callable[[], None]:
 
 def _below(base: Path, package: str) -> Iterator[Path]:
     """Yield folders of a name at or below another, level by level."""
-    if base.name == package:
-        yield base
+    return (folder for folder in _levels(base) if folder.name == package)
+
+
+def _levels(base: Path) -> Iterator[Path]:
+    """Yield a folder and those below it, level by level."""
+    yield base
     level, seen = [base], 0
     for _ in range(SEARCH_DEPTH):
         fresh: list[Path] = []
         for folder in level:
             fresh += _folders(folder)
-        yield from (folder for folder in fresh if folder.name == package)
+        yield from fresh
         seen += len(fresh)
         if seen > MAX_SEARCHED_FOLDERS:
             return

@@ -8,7 +8,7 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.compile.inertia import Inertia, combine_inertias, described_in_arena
-from usarmjx.models.files.content import Content
+from usarmjx.models.files.content import Content, corners_of
 from usarmjx.models.files.mjcf import Hinge, door_of
 from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.resources import Resources
@@ -24,7 +24,7 @@ from usarmjx.models.files.sdf_links import (
 )
 from usarmjx.models.files.sdf_solids import FIXTURE, GREY, SdfSolids, angles_of, at_of, colour_of, volume_of
 from usarmjx.models.files.sdf_tree import WORLD, SdfFiles, SdfModel, inverse, read_pose
-from usarmjx.models.files.world_meshes import Use
+from usarmjx.models.files.world_meshes import SMALL, Use
 from usarmjx.models.files.xml_lines import LinedElement, numbers_of
 from usarmjx.models.types.arena import START_ELEVATION, Door, Light, LooseObject, StartPose
 from usarmjx.models.types.shapes import BodyInertia, Rgba, Shape
@@ -198,23 +198,11 @@ class _SdfReader:
                 self._notes.append(
                     f"{joint.element.place}: joint {joint.name!r} has an end that is no link: left out"
                 )
-            elif joint.element.get("type") == "fixed":
+            elif joint.element.get("type") == "fixed" or joint.limits == (0.0, 0.0):
                 _join(owner, fixed, parent, child)
             else:
                 hinges.append(replace(joint, parent=parent or "", child=child))
-        for joint in hinges:
-            root = _root(owner, joint.parent) if joint.parent else ""
-            stands = not root or root in {_root(owner, name) for name in fixed}
-            door = self._door(joint, frames, owner) if stands else None
-            if door is not None:
-                self._doors.append(door)
-                frames = {name: found for name, found in frames.items() if name != joint.child}
-                continue
-            self._notes.append(
-                f"{joint.element.place}: joint {joint.name!r} of type {joint.element.get('type')!r} is held "
-                "at zero"
-            )
-            _join(owner, fixed, joint.parent or None, joint.child)
+        frames = self._without_doors(hinges, frames, owner, fixed)
         stuck = {_root(owner, name) for name in fixed}
         groups: dict[str, list[SdfLink]] = {}
         for name, found in frames.items():
@@ -226,6 +214,40 @@ class _SdfReader:
                     self._shapes += self._link_shapes(found, found.pose, "fixed")
             else:
                 self._add_loose(model, links)
+
+    def _without_doors(
+        self, hinges: list[SdfJoint], frames: dict[str, SdfLink], owner: dict[str, str], fixed: set[str]
+    ) -> dict[str, SdfLink]:
+        """Add doors that hang on something fixed, hold all other joints; return the links that are no doors.
+
+        Args:
+            hinges: Joints that move.
+            frames: Links by name.
+            owner: For each link, one that it is joined to; joints that are held add to it.
+            fixed: Links that are joined to the world; joints that are held add to it.
+        """
+        waiting = [*hinges]
+        while (joint := next((one for one in waiting if _stands(one, owner, fixed)), None)) is not None:
+            waiting.remove(joint)
+            leaf = _hanging(joint, waiting, owner)
+            door = self._door(joint, [found for name, found in frames.items() if _root(owner, name) in leaf])
+            if door is None or not leaf.isdisjoint(_root(owner, name) for name in fixed):
+                self._hold(joint, owner, fixed)
+                continue
+            self._doors.append(door)
+            frames = {name: found for name, found in frames.items() if _root(owner, name) not in leaf}
+            for one in [one for one in waiting if _root(owner, one.child) in leaf]:
+                self._hold(one, owner, fixed)
+                waiting.remove(one)
+        for joint in waiting:
+            self._hold(joint, owner, fixed)
+        return frames
+
+    def _hold(self, joint: SdfJoint, owner: dict[str, str], fixed: set[str]) -> None:
+        """Join the links of a joint at zero, with a note."""
+        kind = joint.element.get("type")
+        self._notes.append(f"{joint.element.place}: joint {joint.name!r} of type {kind!r} is held at zero")
+        _join(owner, fixed, joint.parent or None, joint.child)
 
     def _add_loose(self, model: SdfModel, links: list[SdfLink]) -> None:
         """Add rigidly joined links as a loose object."""
@@ -309,18 +331,36 @@ class _SdfReader:
             made += self._solids.of(solid, pose.then(found.within(solid)), like, use if touched else "seen")
         return made
 
-    def _door(self, joint: SdfJoint, frames: dict[str, SdfLink], owner: dict[str, str]) -> Door | None:
-        """Return the door that a joint hangs on something fixed; None: it is none."""
-        found = frames[joint.child]
-        solids = found.link.all("collision")
-        alone = sum(_root(owner, name) == _root(owner, joint.child) for name in frames) == 1
-        if joint.element.get("type") not in HINGES or len(solids) != 1 or not alone:
+    def _door(self, joint: SdfJoint, links: list[SdfLink]) -> Door | None:
+        """Return the door that a joint hangs on something fixed; None: it is none.
+
+        Args:
+            joint: Its hinge.
+            links: All that hangs on the joint: a leaf, and perhaps handles.
+        """
+        leaf = next((found for found in links if found.name == joint.child), None)
+        if joint.element.get("type") not in HINGES or leaf is None:
             return None
-        centre = found.pose.then(found.within(solids[0]))
         like = Shape(kind="box", surface=LOOSE_SURFACE, rgba=GREY)
-        shapes = self._solids.of(solids[0], centre, like, "loose")
-        if len(shapes) != 1 or shapes[0].kind != "box":
+        solids = [
+            (pose, shape)
+            for found in links
+            for solid in found.link.all("collision")
+            for pose in [found.pose.then(found.within(solid))]
+            for shape in self._solids.of(solid, pose, like, "loose")
+        ]
+        boxes = [one for one in solids if one[1].kind == "box"]
+        if not boxes:
             return None
+        centre, box = max(boxes, key=lambda one: volume_of(one[1]))
+        others = [shape for _, shape in solids if shape is not box]
+        if any(np.ptp(corners_of(shape), axis=0).max() > SMALL for shape in others):
+            return None
+        if others:
+            self._notes.append(
+                f"{leaf.link.place}: {len(others)} solids on the door {leaf.name!r}, up to {SMALL:g} m long, "
+                "are left out"
+            )
         axis, limits = joint.axis, joint.limits
         hinge = Hinge(
             anchor=joint.frame.pos,
@@ -328,14 +368,14 @@ class _SdfReader:
             limits=limits if limits is not None and limits[0] < limits[1] else None,
             friction=max(joint.element.number("axis/dynamics/damping", 0.0), 0.0),
         )
-        visuals = [colour for one in found.link.all("visual") if (colour := colour_of(one))]
+        visuals = [colour for one in leaf.link.all("visual") if (colour := colour_of(one))]
         try:
             return door_of(
-                self._free_name(found.name),
+                self._free_name(leaf.name),
                 centre,
-                np.array(shapes[0].size),
+                np.array(box.size),
                 hinge,
-                mass=max(self._mass(found.link), MIN_MASS),
+                mass=max(sum(self._mass(found.link) for found in links), MIN_MASS),
                 rgba=(visuals or [GREY])[0],
             )
         except ArenaFileError as error:
@@ -401,6 +441,21 @@ def _root(owner: dict[str, str], name: str) -> str:
     while owner[name] != name:
         name = owner[name]
     return name
+
+
+def _stands(joint: SdfJoint, owner: dict[str, str], fixed: set[str]) -> bool:
+    """Return whether a joint hangs on the world or on something fixed."""
+    return not joint.parent or _root(owner, joint.parent) in {_root(owner, name) for name in fixed}
+
+
+def _hanging(joint: SdfJoint, others: list[SdfJoint], owner: dict[str, str]) -> set[str]:
+    """Return the groups of links that hang on a joint, by its child and by other joints."""
+    leaf = {_root(owner, joint.child)}
+    while True:
+        more = {_root(owner, one.child) for one in others if _root(owner, one.parent) in leaf} - leaf
+        if not more:
+            return leaf
+        leaf |= more
 
 
 def _join(owner: dict[str, str], fixed: set[str], parent: str | None, child: str) -> None:

@@ -323,7 +323,7 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     worlds: int | None = None,
     seed: int = 0,
     engine: str = "auto",
-    teams: Sequence[str] = tuple(TEAMS),
+    teams: Sequence[str] | None = None,
     tell: Callable[[TeamResult], None] = lambda row: None,
     watch: TeamWatch = ignore,
     split: str | None = None,
@@ -338,29 +338,38 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
             as a `split` that is given has, which is also the most.
         seed: Seed of the environments.
         engine: See `make`.
-        teams: Names, see `find_team`.
+        teams: Names, see `find_team`; None: `default_teams`, of which one that does not fit is left out.
         tell: Receives each row as soon as it is known.
         watch: Sees every state of every team but the last one.
         split: Split of generated arenas, a name of `SPLITS`; None: `test`.
-        warn: Is given a line for each policy that plays buildings of its training.
+        warn: Is given a line for each policy that plays buildings of its training, or is left out.
         overrides: Fields of the task to set otherwise. Without `advice` among them, policies of runs and
             files see the planner's advice if they did in training.
 
     Raises:
         UnknownNameError: No such task, team or split, or a field that the task does not have.
         UsageError: A task without a team; worlds that are no multiple of the levels of generated arenas; a
-            split of arenas that are not generated; a packaged policy that does not fit.
+            split of arenas that are not generated; a policy among `teams` that does not fit.
     """
     task, played = task_to_play(name, worlds, split, **overrides)
     envs: dict[TeamTask, Env] = {}  # each is compiled once
-    rows: list[TeamResult] = []
-    for team, (change, driver) in {team: find_team(team) for team in teams}.items():
+    ready: list[tuple[str, TeamTask, Policy]] = []
+    named = {team: find_team(team) for team in (default_teams(name) if teams is None else teams)}
+    for team, (change, driver) in named.items():
         own = task if team not in TEAMS and "advice" in overrides else change(task)
         if own not in envs:
             envs[own] = build_env(own, played, name=name, engine=engine)
+        try:
+            ready.append((team, own, driver(envs[own])))
+        except UsageError as error:
+            if teams is not None:
+                raise
+            warn(f"{team} is left out: {error}")
+    rows: list[TeamResult] = []
+    for team, own, policy in ready:
         if note := training_note(team, own, name):
             warn(note)
-        rows.append(play_team(envs[own], own, driver(envs[own]), team, seed, watch))
+        rows.append(play_team(envs[own], own, policy, team, seed, watch))
         tell(rows[-1])
     return tuple(rows)
 
