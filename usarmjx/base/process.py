@@ -13,7 +13,7 @@ import ctypes
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, cast
 
@@ -25,6 +25,12 @@ MIN_THREADS = 8
 """Smallest thread pool that does not deadlock."""
 POOL, CORES = "USARMJX_POOL", "cores"
 """Environment variable and its value for a pool of one thread per core."""
+M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
+"""Parameters of glibc's mallopt (malloc.h)."""
+MAPPED_SIZE, MAX_ARENAS = 2**18, 2
+"""Size from which a long-running process maps blocks separately [bytes], and its largest number of heaps."""
+MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_ARENA_MAX", "GLIBC_TUNABLES")
+"""Environment variables with which users set the same."""
 _started_before_us = False
 _raised_from: tuple[str | None] | None = None
 """Value of NPROC before it was raised, in a tuple; None: not raised."""
@@ -48,6 +54,28 @@ def return_freed_memory() -> None:
     trim = _trim()
     if trim is not None:
         trim(0)
+
+
+def limit_fragmentation(environment: Mapping[str, str] = os.environ) -> bool:
+    """Let the C library map large blocks separately and use few heaps; call it before threads start.
+
+    glibc raises its threshold for separate maps, to 32 MB at most, with each mapped block that is freed.
+    Models and pictures then lie in heaps of several threads, between small blocks that keep those from
+    shrinking: with the same bytes in use, a server grew by 0.5 MB in a minute of 28 joins.
+
+    Args:
+        environment: Settings of the user's own stay.
+
+    Returns:
+        Whether the library took it: only glibc does.
+    """
+    if any(environment.get(name) for name in MALLOC_VARIABLES):
+        return False
+    try:
+        option = cast(Callable[[int, int], int], ctypes.CDLL(None).mallopt)
+        return bool(option(M_MMAP_THRESHOLD, MAPPED_SIZE) and option(M_ARENA_MAX, MAX_ARENAS))
+    except (AttributeError, OSError, TypeError):
+        return False
 
 
 def ensure_pool_size() -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Protocol, Typ
 import typer
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.process import limit_fragmentation
 from usarmjx.cli.common import PortOffsetOption, RadioIniOption
 from usarmjx.cli.recordings import RecordOption, recorded
 from usarmjx.cli.viewer_options import (
@@ -605,6 +606,7 @@ class Host:
         Raises:
             UsageError: One is taken, or there is no such port; names the option.
         """
+        limit_fragmentation()  # the first step of every server
         first = {"--port": self.settings.port}
         first |= {option: port for one in self._wanted for option, port in one.ports.items()}
         host, offset = self.listen.host, self.listen.port_offset
