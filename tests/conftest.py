@@ -75,6 +75,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[ASKED].touch()
     cut_network(config.stash[ASKED])
     os.environ["USARMJX_CACHE"] = "off"
+    os.environ["USARMJX_QUIET"] = "1"
     os.environ["JAX_COMPILATION_CACHE_DIR"] = folder  # for programs that tests start
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
     jax.config.update("jax_compilation_cache_dir", folder)

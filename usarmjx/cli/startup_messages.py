@@ -17,6 +17,7 @@ from usarmjx.base.compilation import (
     enable_compilation_cache,
     warn_once_of_broken_entries,
 )
+from usarmjx.base.compile_notice import is_compiling, silence
 from usarmjx.base.errors import one_line
 from usarmjx.base.process import fit_pool_to_cores
 from usarmjx.base.status_line import clear_status
@@ -117,6 +118,7 @@ def announce(
     """
     if "jax" in sys.modules:
         return
+    silence()
     tell = say if aloud else _say_nothing
     tell(one_line(text))
     if NEEDS_POOL.isdisjoint(name.strip().lower() for name in engines):
@@ -138,16 +140,6 @@ def tried_on(engine: str) -> str:
 
 def _say_nothing(text: str) -> None:
     del text
-
-
-def is_compiling(thread: int) -> bool:
-    """Return whether a thread is in JAX's compiler, by its stack."""
-    frame = sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
-    while frame is not None:
-        if frame.f_code.co_filename.replace(os.sep, "/").endswith("jax/_src/compiler.py"):
-            return True
-        frame = frame.f_back
-    return False
 
 
 def _watch(tell: Callable[[str], None], interval: float) -> None:

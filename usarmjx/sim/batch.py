@@ -18,6 +18,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
 from usarmjx.base.compilation import enable_cache_after_import
+from usarmjx.base.compile_notice import NOTICE
 from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
 from usarmjx.base.facts import facts_table
@@ -146,6 +147,7 @@ class Batch:
         self.scene = scene
         self.worlds = worlds
         self.engine = engine_of(scene, engine, worlds)
+        NOTICE.expect(f"Batch(worlds={worlds}, engine={engine!r})")
         self.origin, self._numbers = (seed, first, shuffle), np.arange(first, first + worlds, dtype=np.int32)
         self._compute_inputs = self._compile(jax.vmap(partial(compute_inputs, scene)))
         self._finish_step = self._compile(jax.vmap(partial(finish_step, scene)))

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from usarmjx.base.compile_notice import NOTICE
 from usarmjx.base.errors import UnknownNameError, UsageError, quoted
 from usarmjx.base.settings import default_reader, validate
 from usarmjx.base.settings.files import shown
@@ -316,5 +317,6 @@ def make(
     """
     if guessed := sorted(GUESSES & overrides.keys()):
         raise UsageError(f"{guessed[0]}: the argument is called worlds, as worlds=4")
-    task = make_task(name, **overrides)
-    return build_env(task, worlds, name=full_name(name), engine=engine, seed=seed, first=first)
+    with NOTICE.building(f"make({name!r}, worlds={worlds}, engine={engine!r})"):
+        task = make_task(name, **overrides)
+        return build_env(task, worlds, name=full_name(name), engine=engine, seed=seed, first=first)

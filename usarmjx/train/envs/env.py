@@ -13,6 +13,7 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.compilation import enable_cache_after_import
+from usarmjx.base.compile_notice import NOTICE
 from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.base.facts import facts_line, facts_table
@@ -306,6 +307,7 @@ class Env:
         self.program_cache = env_program_cache(task, self.scene, worlds, engine, first)
         settings = {"engine": engine, "seed": seed, "first": first, "shuffle": task.shuffle}
         self.batch = EnvBatch(self.program_cache, self.scene, worlds, **settings)
+        NOTICE.expect(f"{self.name} (worlds={worlds}, engine={engine!r})")
         self.worlds, self.traceable = worlds, self.batch.engine.traceable
         self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
         self.seed = seed
