@@ -1,4 +1,7 @@
-"""Makes the pictures of docs/viewing.md and the film of the README: `python -m tests.view.pictures FOLDER`.
+"""Makes the pictures of docs/viewing.md and the gallery, and the film of the README.
+
+`python -m tests.view.pictures FOLDER` makes all, `... FOLDER still-red film` some. Stills and the film are
+`usarmjx film`'s of recordings made here; the others are screenshots of the page.
 
 Worlds run here, step by step, and a browser without a screen looks at their page between two steps: however
 slow it draws, the film's time is the worlds'.
@@ -17,7 +20,7 @@ from PIL import Image
 
 from tests.view.browser import Browser, find_browser
 from usarmjx.cli.demo import ARENA, EPISODE_STEPS, STARTS, TASK, starting_at
-from usarmjx.cli.recordings import recorded_episode
+from usarmjx.cli.recordings import recorded, recorded_episode
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.films.film import FilmPlan, save_film
@@ -39,12 +42,16 @@ SLOW = 900.0
 """So long a picture may take on a busy machine [s]."""
 COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
 TIDY = "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove())"
-PICTURES = {
-    "yellow": (("P2AT", "P2DX", "Zerg", "Kenaf"), {}),
-    "orange": (("P2AT", "Talon", "Zerg", "Lisa"), {}),
-    "red": (("Kenaf", "Talon", "Tarantula", "P2AT"), {}),
-    "road": (("Sedan", "Hummer", "P2AT"), {}),
-    "pool": (("Submarine",), {}),
+STEP = 0.2
+"""Time between two reports of a robot [s]."""
+STILL_TIME = 4.0
+"""Simulated time of a still [s]."""
+ARENAS = {
+    "yellow": ("P2AT", "P2DX", "Zerg", "Kenaf"),
+    "orange": ("P2AT", "Talon", "Zerg", "Lisa"),
+    "red": ("Kenaf", "Talon", "Tarantula", "P2AT"),
+    "road": ("Sedan", "Hummer", "P2AT"),
+    "pool": ("Submarine",),
 }
 
 
@@ -122,11 +129,10 @@ class Studio:
         self.page.close()
 
 
-def arena_picture(browser, name):
+def arena_picture(browser, name="orange"):
     """An arena with some robots in it, after some seconds."""
-    robots, options = PICTURES[name]
-    world = make_world(name, robots, **options)
-    advance([world], 4.0)
+    world = make_world(name, ARENAS[name])
+    advance([world], STILL_TIME)
     studio = Studio(browser, [world], SIZE)
     try:
         return studio.look()
@@ -148,6 +154,17 @@ def wall_picture(browser):
         studio.close()
 
 
+def still(name, file):
+    """The same arena and robots as `usarmjx film` shows them."""
+    world = make_world(name, ARENAS[name])
+    with tempfile.TemporaryDirectory(prefix="usarmjx-pictures-") as folder:
+        path = Path(folder) / f"{name}.mcap"
+        with recorded([world], path):
+            while world.time < STILL_TIME:
+                advance([world], STEP)
+        save_film(Recording(path), file, FilmPlan(size=SIZE, span=(STILL_TIME - STEP, math.inf)))
+
+
 def film(file):
     """Four robots of the demo that explore, as `usarmjx film` shows them."""
     arena = starting_at(find_arena(ARENA), STARTS)
@@ -162,18 +179,24 @@ def film(file):
 
 def main(folder, *names):
     """Make some of the pictures, or all, in a folder."""
+    folder = Path(folder)
+    filmed = {f"still-{name}": partial(still, name, folder / f"film-{name}.jpg") for name in ARENAS}
+    filmed["film"] = partial(film, folder / "viewing.gif")
+    shot = {"orange": arena_picture, "wall": wall_picture}
+    names = names or (*filmed, *shot)
+    for name in filmed.keys() & set(names):
+        filmed[name]()
+        print(name, flush=True)
+    if not (wanted := shot.keys() & set(names)):
+        return
     binary = find_browser()
     if binary is None:
         sys.exit("no Chromium here")
-    makers = {name: partial(arena_picture, name=name) for name in PICTURES} | {"wall": wall_picture}
     with tempfile.TemporaryDirectory(prefix="usarmjx-pictures-", ignore_cleanup_errors=True) as profile:
         browser = Browser(binary, profile)
         try:
-            for name in names or (*makers, "film"):
-                if name == "film":
-                    film(Path(folder) / "viewing.gif")
-                else:
-                    makers[name](browser).save(Path(folder) / f"viewing-{name}.jpg", quality=85)
+            for name in wanted:
+                shot[name](browser).save(folder / f"viewing-{name}.jpg", quality=85)
                 print(name, flush=True)
         finally:
             browser.close()
