@@ -258,7 +258,7 @@ def main() -> int:
         return 1
     except KeyError:
         known = ", ".join(starts)
-        print(f"lane_follow: no start {options.start}; there are: {known}", file=sys.stderr)
+        print(f"lane_follow: no start {options.start}; known: {known}", file=sys.stderr)
         return 1
     log.lane = (path.length, (network.lane(segment, lane).width or 12.0) * METRES_PER_FOOT)
     worst = max(map(abs, log.sideways))

@@ -182,7 +182,7 @@ def test_a_list_that_makes_no_sense_is_refused(toy, entries, says):
 def test_what_is_asked_for_and_not_there_lists_what_there_is(toy, capsys):
     mutants = read_lists(toy(entry("one"), entry("two")))
     assert [mutant.name for mutant in choose(mutants, ["toys"], ["two"])] == ["two"]
-    with pytest.raises(ListError, match="no area sims; there is: toys"):
+    with pytest.raises(ListError, match="no area sims; known: toys"):
         choose(mutants, ["sims"], [])
     assert main(["--only", "three"], toy(entry("one"), entry("two"))) == 2
-    assert "no mutant three; there is: one, two" in capsys.readouterr().err
+    assert "no mutant three; known: one, two" in capsys.readouterr().err

@@ -291,7 +291,7 @@ def choose(mutants: Sequence[Mutant], areas: Sequence[str], names: Sequence[str]
         ("mutant", names, {mutant.name for mutant in mutants}),
     ):
         if unknown := sorted(set(asked) - known):
-            raise ListError(f"no {kind} {', '.join(unknown)}; there is: {', '.join(sorted(known))}")
+            raise ListError(f"no {kind} {', '.join(unknown)}; known: {', '.join(sorted(known))}")
     return [
         mutant
         for mutant in mutants

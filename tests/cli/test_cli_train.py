@@ -142,7 +142,7 @@ def test_some_tasks_have_an_engine_of_their_own(words, engine, fields, tmp_path,
         (["train", "--task", "drive-to-goal", "--out", "x", "--resume"], "nothing to resume in x"),
         (
             ["export", "nowhere", "--out", "x.npz"],
-            "nowhere is no folder of a run, no exported policy, nor a packaged one: drive-to-goal",
+            "nowhere is no folder of a run, no exported policy, nor a packaged one; packaged: drive-to-goal",
         ),
     ],
 )

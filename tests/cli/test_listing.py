@@ -98,7 +98,7 @@ def test_a_terminal_gets_a_table_that_fits():
 def test_what_cannot_be_listed_is_one_line():
     result = invoke("list", "cats")
     assert (result.exit_code, result.stdout) == (2, "")
-    assert "cannot list 'cats'; there is: everything, robots, sensors, arenas, tasks" in result.stderr
+    assert "cannot list 'cats'; known: everything, robots, sensors, arenas, tasks" in result.stderr
     result = invoke("list", "tasks", "--json", "--markdown")
     assert (result.exit_code, result.stderr) == (2, "usarmjx: give either --json or --markdown\n")
 

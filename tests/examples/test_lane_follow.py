@@ -124,4 +124,4 @@ def test_without_a_server_and_with_an_unknown_start_it_says_so(port, monkeypatch
     assert capsys.readouterr().err.startswith(f"lane_follow: 127.0.0.1:{closed}: ")
     monkeypatch.setattr(sys, "argv", ["lane_follow.py", "--port", str(port), "--start", "Moon"])
     assert lane_follow.main() == 1
-    assert "no start Moon; there are: Loop1, Loop2" in capsys.readouterr().err
+    assert "no start Moon; known: Loop1, Loop2" in capsys.readouterr().err

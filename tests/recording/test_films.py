@@ -174,7 +174,7 @@ def test_the_line_has_time_and_score(still):
         (("--out", "x.avi"), "x.avi: films end in .mp4, .gif, .png, .jpg"),
         (("--out", "x.gif", "--size", "wide"), "expected WIDTHxHEIGHT"),
         (("--out", "x.gif", "--size", "10x10"), "64 to 4096 pixels"),
-        (("--out", "x.gif", "--follow", "Third"), "no robot 'Third' in that time; there are: First, Second"),
+        (("--out", "x.gif", "--follow", "Third"), "no robot 'Third' in that time; known: First, Second"),
         (("--out", "x.gif", "--world", "3"), "has no world 3; it has: 0"),
         (("--out", "x.gif", "--from", "50"), "nothing from 50 to inf s; the recording has 0.02 to 1.2 s"),
     ],

@@ -116,7 +116,7 @@ def test_who_may_only_look_gets_nothing_else(world):
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("killall", "no command 'killall'; there are: showlog, showdebug, editactor, pause, help"),
+        ("killall", "no command 'killall'; known: showlog, showdebug, editactor, pause, help"),
         ("editactor 'name=R1", "No closing quotation"),
         ("showlog some", "'some' is no number of lines"),
         ("showlog 0", "'0' is no number of lines"),

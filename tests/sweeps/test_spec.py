@@ -43,7 +43,7 @@ def test_samples_lie_in_their_ranges_and_a_latin_hypercube_has_one_in_each_slice
     [
         ({"produkt": {}}, "no setting 'produkt'; did you mean 'product'"),
         ({"product": {"radio.power": [1]}}, "no setting 'radio.power'; radio has: pdo, do, n, cutoff"),
-        ({"product": {"speed": [1]}}, "no setting 'speed'; there are: task, policy, episodes"),
+        ({"product": {"speed": [1]}}, "no setting 'speed'; known: task, policy, episodes"),
         ({"product": {"seed": 3}}, "product: seed is 3, expected a list of values"),
         ({"common": {"task": "explore", "episodes": 0}}, "episodes is 0, expected a whole number from 1"),
         ({"common": {}}, "a cell: task is nothing, expected a text"),

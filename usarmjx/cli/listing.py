@@ -135,7 +135,7 @@ def list_everything(
 
         if what not in (EVERYTHING, COMMANDS, SETTINGS, *LISTINGS):
             known = ", ".join((EVERYTHING, *LISTINGS, COMMANDS, SETTINGS))
-            raise UsageError(f"cannot list {what!r}; there is: {known}")
+            raise UsageError(f"cannot list {what!r}; known: {known}")
         if what == EVERYTHING:
             _list_all(json, markdown)
         else:

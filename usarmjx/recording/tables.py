@@ -45,7 +45,7 @@ def rows_of(recording: Recording, table: str) -> Iterator[TableRow]:
         UsageError: There is no such table, or the file is broken.
     """
     if table not in COLUMNS:
-        raise UsageError(f"no table {table!r}; there are: {', '.join(COLUMNS)}")
+        raise UsageError(f"no table {table!r}; known: {', '.join(COLUMNS)}")
     if table == "lines":
         yield from _line_rows(recording)
         return

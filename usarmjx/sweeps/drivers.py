@@ -102,9 +102,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
         baseline = BASELINES.get(name)
         return CellDriver(shape=("baseline", name.lower()), make=lambda env, _: baseline(env))
     if kind == PACKAGED and task not in POLICIES:
-        raise UsageError(
-            f"no policy for {task} comes with the package; there are: {', '.join(POLICIES.names())}"
-        )
+        raise UsageError(f"no policy for {task} comes with the package; known: {', '.join(POLICIES.names())}")
     checkpoint = str(more.get("checkpoint", "best"))
     source = load_policy(str(POLICIES.get(task)) if kind == PACKAGED else what, checkpoint)
     if kind == PACKAGED:

@@ -174,7 +174,7 @@ def check_key(key: str, where: str) -> None:
     if dot or key not in NAMES or key in (FIELDS, "radio", "vary"):
         known = [one for one in NAMES if one not in (FIELDS, "radio", "vary")]
         rest = [*(f"{name}.*" for name in parts() if name not in known), f"{FIELDS}.*"]
-        raise UnknownNameError(f"{where} has no setting {key!r}; there are: {', '.join([*known, *rest])}")
+        raise UnknownNameError(f"{where} has no setting {key!r}; known: {', '.join([*known, *rest])}")
 
 
 def complete(settings: CellSettings, where: str) -> dict[str, Any]:

@@ -148,7 +148,7 @@ def test_long_chains_of_links_are_no_recursion(tmp_path):
     (ball,) = load_arena(write(tmp_path / "a.yaml", yaml)).shapes
     assert ball.at == pytest.approx((0, 0, count))
     wrong = text.replace("<child link='top'/>", "<child link='none'/>")
-    refused(write(tmp_path / "b.urdf", wrong), "'none' is no link; there is: l0, .*, ...$")
+    refused(write(tmp_path / "b.urdf", wrong), "'none' is no link; known: l0, .*, ...$")
 
 
 def test_meshes_that_are_named_a_thousand_times_are_too_many(tmp_path):

@@ -141,5 +141,5 @@ def test_angles_are_those_of_mujocos_urdf(angles):
 
 
 def test_other_formats_are_refused(tmp_path):
-    with pytest.raises(UsageError, match="format 'usd'; there is: mjcf, urdf, sdf"):
+    with pytest.raises(UsageError, match="format 'usd'; known: mjcf, urdf, sdf"):
         export_robot(ODD, tmp_path / "a.usd", "usd")

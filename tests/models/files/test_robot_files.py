@@ -417,7 +417,7 @@ def test_cameras_and_sensors_of_mjcf_are_mounts_and_the_rest_is_named_with_its_l
         ),
         (
             cart().replace('child link="wr"', 'child link="x"'),
-            "its child 'x' is no link; there is: base, wl, wr",
+            "its child 'x' is no link; known: base, wl, wr",
         ),
         (
             cart().replace('type="continuous"', 'type="rolling"'),

@@ -98,7 +98,7 @@ def test_a_frame_that_is_relative_to_itself_is_named(tmp_path):
     with pytest.raises(ArenaFileError, match=r"a\.world:\d+: model 'm': frame 'a' is relative to itself"):
         read(tmp_path, text + "</model>")
     text = f"<model name='m'>{STATIC}<link name='l'><pose relative_to='x'>0 0 0 0 0 0</pose></link></model>"
-    with pytest.raises(ArenaFileError, match="there is no frame 'x'; there is: l"):
+    with pytest.raises(ArenaFileError, match="there is no frame 'x'; known: l"):
         read(tmp_path, text)
 
 

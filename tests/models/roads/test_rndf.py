@@ -207,10 +207,10 @@ BAD_RNDF = [
 BAD_MDF = [
     ("RNDF ours.txt\n", "", 2, "found 'format_version'; allowed here: RNDF"),
     ("num_checkpoints 3", "num_checkpoints 2", 10, "3 checkpoints, but 2 were announced"),
-    ("7\n1\n", "7\n3\n", 8, "no checkpoint 3; there are: 1, 7"),
+    ("7\n1\n", "7\n3\n", 8, "no checkpoint 3; known: 1, 7"),
     ("7\n1\n", "7\n1 2\n", 8, "1 2; expected: 1"),
     ("1 5 25.5", "1 35 25.5", 13, "speeds 35 and 25.5: expected 0 <= lowest <= highest"),
-    ("1 5 25.5", "3 5 25.5", 13, "no segment or zone 3; there are: 1 to 2"),
+    ("1 5 25.5", "3 5 25.5", 13, "no segment or zone 3; known: 1 to 2"),
     ("1 5 25.5", "2 5 25.5", 14, "2 speed limits for 2; one is allowed"),
     ("1 5 25.5", "1 5", 13, "expected: 1 lowest highest"),
     ("1 5 25.5", "1 -5 25.5", 13, "speed '-5'; expected a number from 0 to 1000"),
@@ -355,7 +355,7 @@ def test_a_sound_network_and_mission_have_no_faults():
     assert network_faults(NETWORK) == []
     assert mission_faults(MISSION, NETWORK) == []
     (fault,) = mission_faults(replace(MISSION, checkpoints=(2,)), NETWORK)
-    assert fault == (("checkpoint", 2), "no checkpoint 2; there are: 1, 7")
+    assert fault == (("checkpoint", 2), "no checkpoint 2; known: 1, 7")
 
 
 NAMES = st.text(st.characters(codec="utf-8"), max_size=12).map(lambda text: " ".join(text.split())).filter(

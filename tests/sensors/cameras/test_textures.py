@@ -211,10 +211,10 @@ def test_a_file_names_textures_and_wrong_ones_are_refused_with_what_there_is(tmp
     assert load_arena(path).shapes[0].texture == "chart:4"
     for wrong in ("marble", "brick:2", "tag:10", "hazmat:x"):
         path.write_text(text.format(wrong))
-        with pytest.raises(UsarmjxError, match=r"no texture '.*'; there is: brick, tiles, wood, concrete, "):
+        with pytest.raises(UsarmjxError, match=r"no texture '.*'; known: brick, tiles, wood, concrete, "):
             load_arena(path)
     crate = replace(ARENA_OF_ONE, shapes=(turned("marble"),))
-    with pytest.raises(UsarmjxError, match=r"no texture 'marble'; there is"):
+    with pytest.raises(UsarmjxError, match=r"no texture 'marble'; known"):
         build_scene(crate, [])
     assert [texture_problem(name) for name in ("", *TEXTURES)] == [""] * (1 + len(TEXTURES))
     assert texture_code("tag:7") == TEXTURES.index("tag") + 1 + 7 * CODE_STRIDE

@@ -51,7 +51,7 @@ def heard(session):
         ('{"op": "subscribe", "topic": "/clock", "type": "std_msgs/String"}', "rosgraph_msgs/Clock, not"),
         (
             '{"op": "subscribe", "topic": "/clock", "compression": "zip"}',
-            "no compression 'zip'; there is: none, png",
+            "no compression 'zip'; known: none, png",
         ),
         (
             '{"op": "subscribe", "topic": "/clock", "fragment_size": 7}',

@@ -133,7 +133,7 @@ def test_a_score_of_easy_arenas_is_never_best(kinds, best, tmp_path):
     assert checkpoints.find("best").name == f"{best:08d}"
     why = f"the best by score {kinds[best - 1] or 'in training'}: {(0.9, 0.4)[best - 1]} after {best},000"
     assert checkpoints.describe("best") == (
-        f"checkpoint {best} of {tmp_path}, {why} agent steps (there are: {3 - best})"
+        f"checkpoint {best} of {tmp_path}, {why} agent steps (others: {3 - best})"
     )
     assert checkpoints.describe("last").startswith(f"checkpoint 2 of {tmp_path}, the last: 0.4 after 2,000")
     assert checkpoints.describe("1").startswith(f"checkpoint 1 of {tmp_path}, as asked for: 0.9")

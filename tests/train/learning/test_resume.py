@@ -230,7 +230,7 @@ def test_a_folder_with_a_run_is_not_overwritten(reference, tmp_path):
         run(tmp_path / "none", resume=True)
     with pytest.raises(UsageError, match="is no run"):
         read_policy(tmp_path)
-    with pytest.raises(UsageError, match=r"there are: .*10, besides last and best"):
+    with pytest.raises(UsageError, match=r"known: .*10, besides last and best"):
         read_policy(reference, "11")
 
 

@@ -30,7 +30,7 @@ def test_zero_and_random_act_for_all_robots():
 def test_agents_are_named_with_a_task_alone():
     source = PolicyOptions(agent="random", task="explore").source()
     assert (source.name, source.task, source.untrained) == ("random", "explore", True)
-    with pytest.raises(UnknownNameError, match="there are: zero, random"):
+    with pytest.raises(UnknownNameError, match="known: zero, random"):
         PolicyOptions(agent="greedy", task="explore").source()
     for wrong in (
         PolicyOptions(agent="zero"),

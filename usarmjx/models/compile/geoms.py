@@ -87,7 +87,7 @@ def add_geom(
 def _check(name: str, shape: Shape) -> None:
     """Refuse a shape whose fields contradict each other."""
     if shape.material not in MATERIALS:
-        raise SpecError(f"{name}: no material {shape.material!r}; there is: {', '.join(MATERIALS)}")
+        raise SpecError(f"{name}: no material {shape.material!r}; known: {', '.join(MATERIALS)}")
     if problem := texture_problem(shape.texture):
         raise SpecError(f"{name}: {problem}")
     if shape.material == FENDER and shape.kind != "box":

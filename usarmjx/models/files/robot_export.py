@@ -51,7 +51,7 @@ def export_robot(robot: RobotSpec, path: Path, form: str) -> ExportResult:
         WriteError: A file cannot be written.
     """
     if form not in FORMATS:
-        raise UsageError(f"format {form!r}; there is: {', '.join(FORMATS)}")
+        raise UsageError(f"format {form!r}; known: {', '.join(FORMATS)}")
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.modelname = robot.name

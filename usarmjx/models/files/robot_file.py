@@ -329,7 +329,7 @@ class _Builder:
             if mimic.leader not in names or mimic.leader == part.name:
                 raise SpecError(
                     f"{self._source.path}: joint {part.name!r} follows {mimic.leader!r}, which is no joint "
-                    f"that moves; there is: {listed([*names], 20)}"
+                    f"that moves; known: {listed([*names], 20)}"
                 )
             done.append(
                 replace(

@@ -127,7 +127,7 @@ class SdfModel:
         found = self._entities.get(name)
         if found is None:
             known = ", ".join([*self._entities, *self._inner][:20]) or "none"
-            raise self.element.error(f"{self._called}: there is no frame {name!r}; there is: {known}")
+            raise self.element.error(f"{self._called}: there is no frame {name!r}; known: {known}")
         return self.placed(found.first("pose"), seen, self._base(found))
 
     @property

@@ -101,7 +101,7 @@ def joints_by_parent(root: LinedElement, links: Collection[str]) -> dict[str, li
             if link_at(joint, end) not in links:
                 raise joint.error(
                     f"joint {name!r}: its {end} {link_at(joint, end)!r} is no link; "
-                    f"there is: {listed([*links], MAX_LISTED_LINKS)}"
+                    f"known: {listed([*links], MAX_LISTED_LINKS)}"
                 )
         child = link_at(joint, "child")
         if child in owners:

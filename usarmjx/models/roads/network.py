@@ -314,11 +314,11 @@ def _strangers(mission: Mission, network: RouteNetwork | None) -> Iterator[Fault
     areas = len(network.segments) + len(network.zones) if network else None
     for checkpoint in mission.checkpoints:
         if checkpoint < 1 or (network and checkpoint not in known):
-            yield ("checkpoint", checkpoint), f"no checkpoint {checkpoint}; there are: {there}"
+            yield ("checkpoint", checkpoint), f"no checkpoint {checkpoint}; known: {there}"
     for limit in mission.speed_limits:
         if limit.id < 1 or (areas is not None and limit.id > areas):
             allowed = "1 and up" if areas is None else f"1 to {areas}"
-            yield ("speed_limit", limit.id), f"no segment or zone {limit.id}; there are: {allowed}"
+            yield ("speed_limit", limit.id), f"no segment or zone {limit.id}; known: {allowed}"
 
 
 def _listed(numbers: Iterable[int]) -> str:

@@ -20,7 +20,7 @@ def texture_problem(texture: str) -> str:
         return ""
     signs = ", ".join(f"{name}:0 to {name}:{last}" for name, last in SIGNS.items())
     plain = ", ".join(name for name in TEXTURES if name not in SIGNS)
-    return f"no texture {texture!r}; there is: {plain}, {signs}"
+    return f"no texture {texture!r}; known: {plain}, {signs}"
 
 
 def texture_code(texture: str) -> int:

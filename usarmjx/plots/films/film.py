@@ -145,7 +145,7 @@ def _check_robot(source: RecordingSource, index: int, name: str, times: np.ndarr
         known |= {drawing.robots[slot].name: None for slot in sorted(frame.robots) if slot in drawing.robots}
         if name in known:
             return
-    raise UsageError(f"no robot {name!r} in that time; there are: {', '.join(known) or 'none'}")
+    raise UsageError(f"no robot {name!r} in that time; known: {', '.join(known) or 'none'}")
 
 
 class Shots:

@@ -102,7 +102,7 @@ class SpectatorConsole:
         if not head:
             return ""
         if head.lower() not in self._commands:
-            raise UsageError(f"no command {clip(head)}; there are: {', '.join(self._commands)}")
+            raise UsageError(f"no command {clip(head)}; known: {', '.join(self._commands)}")
         command, _ = self._commands[head.lower()]
         if not self._trusted and command not in (self._show_debug, self._help):
             raise UsageError(f"{head.lower()}: {self._refusal}")

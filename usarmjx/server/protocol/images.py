@@ -46,7 +46,7 @@ def format_number(text: str) -> int:
     number = names.get(text.lower(), int(text) if text.isdecimal() else -1)
     if not 0 <= number < len(FORMATS):
         known = ", ".join(f"{name} ({number})" for name, number in names.items())
-        raise UsageError(f"no picture format {text!r}; there is: {known}")
+        raise UsageError(f"no picture format {text!r}; known: {known}")
     return number
 
 

@@ -123,7 +123,7 @@ class ParameterServices:
         """Return why a parameter cannot be set; empty if it can."""
         name, known = one["name"], self._parameters()
         if name not in known:
-            return f"no parameter {clip(name)}; there is: {', '.join(known)}"
+            return f"no parameter {clip(name)}; known: {', '.join(known)}"
         if known[name].set is None:
             return f"{name} is read-only"
         wanted = _type_of(known[name].get())

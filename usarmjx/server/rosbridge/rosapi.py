@@ -117,7 +117,7 @@ class RosApi:
         """
         found = self._services.get(service)
         if found is None:
-            raise UsageError(f"no service {clip(service)}; there is: {', '.join(self.names())}")
+            raise UsageError(f"no service {clip(service)}; known: {', '.join(self.names())}")
         return found(args)
 
     def _of_topics(self) -> dict[str, ServiceFunction]:

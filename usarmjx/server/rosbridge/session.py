@@ -330,7 +330,7 @@ class BridgeSession:
     def _set_level(self, message: RosMessage) -> None:
         level = _text(message, "level")
         if level not in LEVELS:
-            raise UsageError(f"no level {clip(level)}; there is: {', '.join(LEVELS)}")
+            raise UsageError(f"no level {clip(level)}; known: {', '.join(LEVELS)}")
         self._level = LEVELS.index(level)
 
 
@@ -352,7 +352,7 @@ def _request(message: RosMessage) -> SubscriptionRequest:
     """
     compression = _text(message, "compression", "none")
     if compression not in set(Compression):
-        raise UsageError(f"no compression {clip(compression)}; there is: {', '.join(Compression)}")
+        raise UsageError(f"no compression {clip(compression)}; known: {', '.join(Compression)}")
     size = 0 if message.get("fragment_size") is None else int(_number(message, "fragment_size"))
     if 0 < size < SHORTEST_FRAGMENT:
         raise UsageError(f"fragment_size is {size}, expected 0 or at least {SHORTEST_FRAGMENT}")

@@ -86,7 +86,7 @@ def packaged_policy(env: Env) -> Policy:
     """
     name = packaged_name(env.name)
     if name not in POLICIES:
-        raise UsageError(f"no policy is packaged for {name}; there are: {', '.join(POLICIES.names())}")
+        raise UsageError(f"no policy is packaged for {name}; known: {', '.join(POLICIES.names())}")
     return load_policy(name).policy(env)
 
 

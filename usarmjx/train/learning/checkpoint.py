@@ -151,9 +151,7 @@ class Checkpoints:
         for path in paths:
             if which.isdecimal() and int(path.name) == int(which):
                 return path
-        raise UsageError(
-            f"no checkpoint {which!r} in {self.folder}; there are: {numbers}, besides last and best"
-        )
+        raise UsageError(f"no checkpoint {which!r} in {self.folder}; known: {numbers}, besides last and best")
 
     def meta(self, path: Path) -> dict[str, Any]:
         """Return the facts of a checkpoint: `iteration`, `agent_steps`, `score`, `processes`.
@@ -197,10 +195,10 @@ class Checkpoints:
         score = "none" if meta["score"] is None else f"{meta['score']:.4g}"
         kind = meta.get("kind", "in training")
         reason = {"best": f"the best by score {kind}", "last": "the last"}.get(which, "as asked for")
-        others = ", ".join(str(int(one.name)) for one in paths if one != path) or "no others"
+        others = ", ".join(str(int(one.name)) for one in paths if one != path) or "none"
         return (
             f"checkpoint {meta['iteration']} of {self.run}, {reason}: {score} after {meta['agent_steps']:,} "
-            f"agent steps (there are: {others})"
+            f"agent steps (others: {others})"
         )
 
     def save(

@@ -33,6 +33,6 @@ def no_policy(name: str, packaged: Registry[Path], others: Iterable[str] = ()) -
     names = packaged.names()
     hint = closest(name, [*others, *names])
     return (
-        f"{name} is no folder of a run, no exported policy, nor a packaged one{hint}: "
-        f"{', '.join(names) or 'none'}"
+        f"{name} is no folder of a run, no exported policy, nor a packaged one{hint}{'' if hint else ';'} "
+        f"packaged: {', '.join(names) or 'none'}"
     )

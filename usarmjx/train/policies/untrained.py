@@ -48,4 +48,4 @@ def check_untrained(name: str) -> None:
         UnknownNameError: Lists the names.
     """
     if name not in UNTRAINED:
-        raise UnknownNameError(f"no agent {name!r}; there are: {', '.join(UNTRAINED)}")
+        raise UnknownNameError(f"no agent {name!r}; known: {', '.join(UNTRAINED)}")
