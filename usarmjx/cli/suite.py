@@ -51,7 +51,8 @@ def run(
             check_run(one)
         if split not in SPLITS_OF_SUITES:
             raise UsageError(unknown_name("split", split, SPLITS_OF_SUITES))
-        announce(f"reading suite {suite} ...", engines=["planar" if engine is None else tried_on(engine)])
+        engines = ["planar" if engine is None else tried_on(engine)]
+        announce(f"reading suite {suite} ...", aloud=not quiet, engines=engines)
         from usarmjx.sweeps.run import usual_stream
         from usarmjx.sweeps.suite import load_suite, run_suite
         from usarmjx.sweeps.workers import Workers

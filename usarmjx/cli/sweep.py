@@ -139,7 +139,9 @@ def run(
 
         file = find_spec(what)
         check_file(read_file(file))
-        announce(f"reading {what} ...", engines=["jax" if engine is None else tried_on(engine)])
+        announce(
+            f"reading {what} ...", aloud=not quiet, engines=["jax" if engine is None else tried_on(engine)]
+        )
         from usarmjx.sweeps.run import parse_part, play_prepared, prepare, usual_stream
         from usarmjx.sweeps.workers import Workers
 
