@@ -6,8 +6,9 @@ import numpy as np
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines.c.placement import free_pose
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.standing import START_GAP
 from usarmjx.models.robots import ROBOTS
-from usarmjx.sim.scene import START_GAP, build_scene
+from usarmjx.sim.scene import build_scene
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
@@ -24,9 +25,9 @@ class Crowd:
             self.floor + kinematic_tree_of(ROBOTS.get(name)).clearance + START_GAP for name in names
         ]
 
-    def ask(self, robot, pos, yaw=0.0, **options):
-        quat = quat_from_angles(0.0, 0.0, yaw)
-        return free_pose(self.model, self.data, self.indices[robot], pos, quat, self.floor, **options)
+    def ask(self, robot, pos, yaw=0.0, sinking=0.0, **options):
+        quat, floor = quat_from_angles(0.0, 0.0, yaw), self.floor - sinking
+        return free_pose(self.model, self.data, self.indices[robot], pos, quat, floor, **options)
 
     def on_floor(self, robot, x=0.0, y=0.0, above=0.0):
         return np.array([x, y, self.heights[robot] + above])

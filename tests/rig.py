@@ -13,10 +13,11 @@ from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of, lowest_point, robot_state
 from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.compile.physics import Physics
+from usarmjx.models.compile.standing import START_GAP
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.sim.control import ControlMode, DriveConditions, compute_actuation, idle_command, set_drive
-from usarmjx.sim.scene import START_GAP, build_scene
+from usarmjx.sim.scene import build_scene
 from usarmjx.sim.world import depth_in_water
 
 PERIOD = Physics().period

@@ -11,9 +11,9 @@ from tests.arenas import COURSE, FLAT
 from tests.crowd import UPRIGHT, Crowd
 from usarmjx.engines.c.faults import SEARCH_RADII, RecoveryResult, faulty_robots, step_and_recover
 from usarmjx.models.arenas import ARENAS
+from usarmjx.models.compile.standing import START_GAP
 from usarmjx.models.types.arena import LooseObject
 from usarmjx.models.types.shapes import Shape
-from usarmjx.sim.scene import START_GAP
 
 Disable = mujoco.mjtDisableBit
 SUBSTEPS, STEPS, BEGIN = 4, 70, 20

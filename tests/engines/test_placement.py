@@ -13,10 +13,12 @@ from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines.c.batch import INTEGRATION_STATE
 from usarmjx.engines.c.placement import HALVINGS, MAX_PENETRATION, RAISE_STEP, SEARCH_RADIUS, SEARCH_RINGS
 from usarmjx.models.arenas import ARENAS
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.standing import START_GAP, standing_height
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import Shape
-from usarmjx.sim.scene import START_GAP, start_height
+from usarmjx.sim.scene import start_height
 
 SETTLED = 0.03
 """How far a robot moves in the second after it was put somewhere [m]: it falls by the gap at most, sinks into
@@ -108,10 +110,11 @@ def test_a_car_that_does_not_fit_between_the_walls_is_refused(name):
 @pytest.mark.parametrize("arena", ARENAS.names())
 def test_the_starts_of_every_arena_are_free(arena):
     spec = ARENAS.get(arena)
-    crowd = Crowd(spec, "P2AT")
+    crowd, robot = Crowd(spec, "P2AT"), ROBOTS.get("P2AT")
+    sinking = kinematic_tree_of(robot).clearance - standing_height(robot)
     for start in spec.starts:
         asked = np.array([*start.at[:2], start_height(spec, start, ROBOTS.get("P2AT"))])
-        pos, _ = crowd.ask(0, asked, start.yaw)
+        pos, _ = crowd.ask(0, asked, start.yaw, sinking)
         np.testing.assert_array_equal(pos, asked, err_msg=start.tag)
 
 
@@ -120,10 +123,11 @@ def test_all_may_start_at_once(arena):
     """Nobody at a start is in the way of the next one."""
     spec = ARENAS.get(arena)
     starts = spec.starts[:8]
-    crowd = Crowd(spec, *["P2AT"] * len(starts))
+    crowd, p2at = Crowd(spec, *["P2AT"] * len(starts)), ROBOTS.get("P2AT")
+    sinking = kinematic_tree_of(p2at).clearance - standing_height(p2at)
     for robot, start in enumerate(starts):
-        asked = np.array([*start.at[:2], start_height(spec, start, ROBOTS.get("P2AT"))])
-        pos, quat = crowd.ask(robot, asked, start.yaw)
+        asked = np.array([*start.at[:2], start_height(spec, start, p2at)])
+        pos, quat = crowd.ask(robot, asked, start.yaw, sinking)
         np.testing.assert_array_equal(pos, asked, err_msg=start.tag)
         crowd.put(robot, pos, quat)
 

@@ -38,6 +38,7 @@ from usarmjx.models.compile.randomization import (
     is_randomized,
 )
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
+from usarmjx.models.compile.standing import standing_height
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import VictimTable, victim_table
 from usarmjx.models.effecters import Effecter, effecters_of
@@ -273,8 +274,6 @@ ARENA_TABLES = frozenset(
     }
 )
 """The properties of a scene that are those of its arena, whatever robots there are."""
-START_GAP = 0.002
-"""Robots start this far above the floor, so that none starts inside it [m]."""
 
 
 @dataclass(frozen=True)
@@ -474,7 +473,7 @@ def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
 
 def origin_height(arena: ArenaSpec, height: ArrayLike, robot: RobotSpec) -> ArrayLike:
     """Return the height of a robot's origin when it stands under start poses of some height (...,) [m]."""
-    return arena.floor + height - START_ELEVATION + kinematic_tree_of(robot).clearance + START_GAP
+    return arena.floor + height - START_ELEVATION + standing_height(robot)
 
 
 def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:

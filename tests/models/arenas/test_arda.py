@@ -15,6 +15,7 @@ from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.arda import ARDA, FILES, MISSIONS, NETWORK, ORIGIN, RADIUS, STARTS
 from usarmjx.models.compile.physics import Physics
+from usarmjx.models.compile.standing import START_GAP
 from usarmjx.models.roads.network import (
     METRES_PER_FOOT,
     METRES_PER_LATITUDE_DEGREE,
@@ -206,7 +207,7 @@ def touching(scene, data, x, y, yaw):
     """How many contacts a car has that starts there."""
     mujoco.mj_resetData(scene.model, data)
     root = data.joint("r0/root").qpos
-    root[:3] = x, y, start_height(ARDA, ARDA.starts[0], ROBOTS.get(WIDEST))
+    root[:3] = x, y, start_height(ARDA, ARDA.starts[0], ROBOTS.get(WIDEST)) + START_GAP
     root[3:] = math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)
     mujoco.mj_kinematics(scene.model, data)
     mujoco.mj_comPos(scene.model, data)

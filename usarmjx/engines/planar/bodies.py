@@ -23,6 +23,7 @@ from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.reachability import STEP_SHARE
+from usarmjx.models.compile.standing import standing_height
 from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
 
 FREE_JOINT, HINGE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -307,6 +308,11 @@ def rotate_by_yaw(vector: Array, yaw: Array) -> Array:
     return jnp.stack([x * cos - y * sin, x * sin + y * cos], -1)
 
 
+def _clearance(robot: RobotSpec) -> float:
+    """Return the height at which a robot stands, or may fly at least, above the ground [m]."""
+    return kinematic_tree_of(robot).clearance if robot.drive.applies_wrench else standing_height(robot)
+
+
 def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotIndex]]) -> PlanarRobots:
     """Return the robots of a model.
 
@@ -322,7 +328,6 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         mujoco.mju_quat2Mat(row, model.body_iquat[body])
     axes = turn.reshape(-1, 3, 3)
     inertia = axes @ (model.body_inertia[chassis][:, :, None] * axes.transpose(0, 2, 1))
-    plans = [kinematic_tree_of(robot) for robot, _ in robots]
     return PlanarRobots(
         root_qpos=np.array([index.root_qposadr + np.arange(7) for _, index in robots], int).reshape(-1, 7),
         root_dof=np.array([index.root_dofadr + np.arange(6) for _, index in robots], int).reshape(-1, 6),
@@ -331,7 +336,7 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         rolling=rolling_groups(model, list(robots)),
         half=(boxes[:, 1] - boxes[:, 0])[:, :2] / 2,
         offset=(boxes[:, 1] + boxes[:, 0])[:, :2] / 2,
-        clearance=np.array([plan.clearance for plan in plans]),
+        clearance=np.array([_clearance(robot) for robot, _ in robots]),
         height=(boxes[:, 1] - boxes[:, 0])[:, 2],
         step=np.array([STEP_SHARE * robot.wheel_radius for robot, _ in robots]),
         mass=model.body_subtreemass[chassis],

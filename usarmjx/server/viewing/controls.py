@@ -13,7 +13,7 @@ from functools import partial
 
 from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.standing import standing_height
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.gamebots.adapter import Client
@@ -24,7 +24,7 @@ from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.runtime.loop import StepClock, StepMeter
 from usarmjx.server.worlds.robot import Robot
-from usarmjx.sim.scene import START_ELEVATION, START_GAP
+from usarmjx.sim.scene import START_ELEVATION
 from usarmjx.view.controls import BY_CLIENT, BY_PAGE, BY_POLICY, ControlLock, StartPoseChoice, WorldStatus
 
 log = logging.getLogger(__name__)
@@ -153,7 +153,7 @@ class PageRobots:
         """Spawn a robot that has no client; see `WorldControls.spawn`."""
         name = name.strip()
         self._check_name(name)
-        origin = (*pos[:2], pos[2] + kinematic_tree_of(spec).clearance + START_GAP)
+        origin = (*pos[:2], pos[2] + standing_height(spec))
         init = wire.Init(spec.name, name, flip_wire_vector(origin), flip_wire_angles((0.0, 0.0, yaw)))
         robot = spawn_from_init(self._world, init, spec)
         client = Client(self._world, "the page")
