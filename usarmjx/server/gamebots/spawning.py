@@ -15,8 +15,10 @@ def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
     """Spawn the robot of an INIT in a world.
 
     Raises:
-        UsageError: There is no room for it, or no such start pose.
+        UsageError: There is no room for it, no such start pose, or a robot of that name, case ignored.
     """
+    if init.name.lower() in _names(world):
+        raise UsageError(f"there is a robot {clip(init.name)} already")
     poses = _poses(world, init, spec)
     tile = world.free_tile(spec)
     robot = world.spawn_at(spec, init.name or free_name(world, spec), poses)
@@ -26,9 +28,14 @@ def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
 
 def free_name(world: ServedWorld, spec: RobotSpec) -> str:
     """Return a name for a robot of a class that no other has."""
-    taken = {robot.name.lower() for robot in world.robots.values()}
+    taken = _names(world)
     numbers = (f"{spec.name}_{i}" for i in range(len(taken) + 1))
     return next(name for name in numbers if name.lower() not in taken)
+
+
+def _names(world: ServedWorld) -> set[str]:
+    """Return the names of the robots in a world, in lower case."""
+    return {robot.name.lower() for robot in world.robots.values()}
 
 
 def _poses(world: ServedWorld, init: Init, spec: RobotSpec) -> list[tuple[Vec3, Vec3]]:

@@ -60,8 +60,6 @@ class RosRobots:
             UsageError: There is no room for it, or its name is taken.
         """
         world = self._server.world
-        if init.name.lower() in {robot.name.lower() for robot in world.robots.values()}:
-            raise UsageError(f"there is a robot {init.name} already")
         robot = spawn_from_init(world, init, spec)
         own = Client(world, self._peer)
         own.attach_robot(robot, robot.spawn_time)

@@ -178,11 +178,9 @@ class PageRobots:
         self._world.remove(robot)
 
     def _check_name(self, name: str) -> None:
-        """Refuse a name that is taken or cannot stand in a line."""
+        """Refuse a name that cannot stand in a line."""
         if len(name) > MAX_NAME or not name.isprintable() or any(c in "{} " for c in name):
             raise UsageError(f"a robot's name has up to {MAX_NAME} characters, and no spaces or braces")
-        if name.lower() in {robot.name.lower() for robot in self._world.robots.values()}:
-            raise UsageError(f"there is a robot {name} already")
 
     def _held_robot(self, slot: int) -> HeldRobot:
         held = self._held.get(slot)
