@@ -282,7 +282,7 @@ def test_an_init_that_cannot_be_is_logged_and_another_one_works(house, caplog, l
 def test_a_second_robot_of_a_name_is_refused_by_name_until_the_first_leaves(house, robot, caplog, name):
     second = house.connect(f"INIT {{ClassName P2AT}} {{Name {name}}} {{Start Start1}}")
     assert second.robot is None
-    assert f"there is a robot {name!r} already" in caplog.text
+    assert f"there is a robot {name} already" in caplog.text
     assert [one.name for one in house.world.robots.values()] == ["R1"]
     house.say(second, "INIT {ClassName P2AT} {Name R2} {Start Start1}")
     assert second.robot.name == "R2"

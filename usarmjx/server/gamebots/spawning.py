@@ -18,7 +18,7 @@ def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
         UsageError: There is no room for it, no such start pose, or a robot of that name, case ignored.
     """
     if init.name.lower() in _names(world):
-        raise UsageError(f"there is a robot {clip(init.name)} already")
+        raise UsageError(f"there is a robot {init.name} already")
     poses = _poses(world, init, spec)
     tile = world.free_tile(spec)
     robot = world.spawn_at(spec, init.name or free_name(world, spec), poses)
