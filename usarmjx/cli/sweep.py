@@ -158,7 +158,7 @@ def run(
         prepared = prepare(spec, folder, retry, own_part)
         if plan:
             _show_plan(spec, prepared, played_on, probe)
-            return
+            raise typer.Exit(1 if prepared.broken else 0)
         meter = None if recording is None else recording.SweepMeter(begun)
         sinks = [*_sinks(tensorboard, wandb, spec.name), *([] if meter is None else [meter])]
         loud: dict[str, Any] = {} if quiet else {"say": say_line, "stream": usual_stream()}
