@@ -60,10 +60,10 @@ def test_the_top_speed_is_that_of_its_wheels():
 
 
 def test_whole_turns_are_counted():
-    """A P2AT spins at 114 degrees a second (docs/design.md): nearly two turns in 6 s."""
+    """A P2AT spins at 140 degrees a second (manual 12.1.1): more than two turns in 6 s, with its start."""
     orders = orders_of(P2AT)
     assert orders is not None
-    assert spin(Physics(), P2AT, orders) == pytest.approx(6 * math.radians(114), rel=0.05)
+    assert spin(Physics(), P2AT, orders) == pytest.approx(6 * math.radians(140), rel=0.05)
 
 
 def test_a_difference_is_one_beyond_a_tenth_and_beyond_what_counts_for_nothing():

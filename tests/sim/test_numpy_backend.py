@@ -120,12 +120,12 @@ def test_robots_at_once_are_told_what_each_is_told_alone(name):
 
 def test_without_anyone_to_right_the_group_is_told_the_same():
     """On NumPy nothing is computed for robots that need no righting, if there are no others."""
-    plan, (command, *rest) = drawn("P2AT")
+    plan, (command, *rest) = drawn("P2DX")
     still = command.replace(flip_until=np.zeros(ROWS, np.int32))
     with numpy_backend():
         ours = compute_actuation(plan, still, *rest, PERIOD)
     assert not ours.wrench.any()
-    assert_rounded(plan, ours, on_jax("P2AT")(still, *rest))
+    assert_rounded(plan, ours, on_jax("P2DX")(still, *rest))
 
 
 @pytest.mark.every_run("AirRobot", "ComStation", "ERS", "Hummer", "OmniP2AT", "P2AT", "Talon", "Submarine")

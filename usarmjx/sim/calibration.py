@@ -62,6 +62,12 @@ HORIZONS = (1.0, 5.0, 20.0)
 LOWER_BOUNDS = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
 UPPER_BOUNDS = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
 """Bounds of the fit, in the order of `NUMERIC_FIELDS`."""
+SPIN_TOLERANCE = 0.06
+"""Most that the rate of turn on the spot may differ from that on `c`, over it, if a data sheet limits it.
+
+The fit weighs bends and turns on the spot alike; users compare the second with the data sheet."""
+SPIN_SECONDS = 6.0
+"""Duration of a turn on the spot [s]; its second half counts."""
 MAX_COST_RATIO = 0.8
 """Sides answer by themselves if that leaves no more than this share of the cost of the simpler model."""
 
@@ -170,17 +176,43 @@ def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> D
     )
 
 
-def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]:
-    """Return the figures with which a log is explained best, and what is left of its twists (3,), rms."""
-    best, residual_rms, cost = _fit(robot, log, sides_apart=False)
+def spin_gains(robot: RobotSpec) -> tuple[float, float] | None:
+    """Return the turn gains at which a class turns on the spot about as on engine `c`.
+
+    None: no data sheet limits its rate of turn.
+    """
+    drive = robot.drive
+    if not (isinstance(drive, SkidSteer) and np.isfinite(drive.max_turn)):
+        return None
+    steps = round(SPIN_SECONDS / 0.02)
+    command = np.array([-drive.max_spin, drive.max_spin], np.float32)
+    log = record_drive(robot, np.tile(command, (steps, 1, 1)))
+    commanded = wheel_kinematics(robot).twist(jnp.asarray(log.joints[-1]), jnp.asarray(log.wheel_speeds[-1]))
+    gain = float(log.twist[steps // 2 :, 0, 2].mean() / commanded[0, 2])
+    return gain * (1.0 - SPIN_TOLERANCE), gain * (1.0 + SPIN_TOLERANCE)
+
+
+def fit_response(
+    robot: RobotSpec, log: DriveLog, turn_gains: tuple[float, float] | None = None
+) -> tuple[Response, np.ndarray]:
+    """Return the figures with which a log is explained best, and what is left of its twists (3,), rms.
+
+    Args:
+        robot: The class.
+        log: Its drives.
+        turn_gains: Least and largest turn gain; None: any.
+    """
+    best, residual_rms, cost = _fit(robot, log, turn_gains, sides_apart=False)
     if isinstance(robot.drive, SkidSteer):
-        other = _fit(robot, log, sides_apart=True)
+        other = _fit(robot, log, turn_gains, sides_apart=True)
         if other[2] < MAX_COST_RATIO * cost:
             best, residual_rms, _ = other
     return best, residual_rms
 
 
-def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Response, np.ndarray, float]:
+def _fit(
+    robot: RobotSpec, log: DriveLog, turn_gains: tuple[float, float] | None, *, sides_apart: bool
+) -> tuple[Response, np.ndarray, float]:
     """Return the best figures of a model, what is left of the twists (3,), rms, and the cost of that."""
     from scipy.optimize import least_squares  # half a second, of which a calibrated robot has no need
 
@@ -198,6 +230,11 @@ def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Respons
     residual = jax.jit(residuals)
     jacobian = jax.jit(partial(_jacobian, residuals))
     first = np.array([1.0, 0.7, 0.05, 0.05, 3.0, 6.0, 8.0, 0.0])
+    low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
+    if turn_gains is not None:
+        turn = NUMERIC_FIELDS.index("turn_gain")
+        low[turn], high[turn] = turn_gains
+        first[turn] = sum(turn_gains) / 2
 
     def residuals_at(values: np.ndarray) -> np.ndarray:
         return np.asarray(residual(jnp.asarray(values, jnp.float32)), float)
@@ -209,7 +246,7 @@ def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Respons
         residuals_at,
         first,
         jacobian_at,
-        bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
+        bounds=(low, high),
         loss="soft_l1",
         f_scale=0.1,
         x_scale=np.maximum(np.abs(first), 0.05),
@@ -264,7 +301,7 @@ def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: i
     if not rolls(robot.drive):
         raise UsageError(f"{robot.name} does not roll on wheels or tracks: there is nothing to calibrate")
     commands = random_commands(robot, robots, round(seconds / 0.02), seed)
-    response, residual_rms = fit_response(robot, record_drive(robot, commands))
+    response, residual_rms = fit_response(robot, record_drive(robot, commands), spin_gains(robot))
     override_response(robot, response)
     names = ("forward_speed", "sideways_speed", "rate_of_turn")
     return response_entry(

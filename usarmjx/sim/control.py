@@ -19,6 +19,7 @@ from usarmjx.models.compile.kinematic_tree import KinematicTree
 from usarmjx.models.compile.parts import joint_names, parts_of
 from usarmjx.models.compile.servos import Servos, actuated_servos
 from usarmjx.models.drives.base import RobotState
+from usarmjx.models.drives.ground import YieldingSkidSteer
 from usarmjx.models.types.robot import STALL_SPEED, RobotSpec
 
 
@@ -103,6 +104,10 @@ FLIP_TIME = 3.0
 """Time that DRIVE {Flip True} takes to right a robot [s] (KRobot.uc: FlipTime)."""
 MIN_UPRIGHT_COS = np.cos(np.radians(10.0))
 """A robot that leans less than this needs no righting."""
+MIN_TYRES_COS = 0.5
+"""Cosine of the lean up to which a robot stands on its tyres."""
+MAX_TURNING = 1.5
+"""Largest difference of both sides' spins that counts for tyres, over the commanded one: wheels hop."""
 FLIP_RATE = 2.5
 """About how fast a robot is righted [rad/s]."""
 NEAREST_SIDE = 0.05
@@ -392,6 +397,8 @@ def _wrench(
             setpoint = setpoint * conditions.speed[..., None]
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
+    if isinstance(drive, YieldingSkidSteer):
+        wrench = wrench + _tyre_wrench(plan, drive, setpoint, state)
     # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
     # Counts wrap around, so an idle 0 comes to lie ahead again: only the time of one righting counts.
     remaining = xp.asarray(flip_until) - conditions.step
@@ -399,6 +406,24 @@ def _wrench(
     if drive.is_wheeled and not (on_numpy() and not flips.any()):
         wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
     return xp.asarray(wrench, xp.float32)
+
+
+def _tyre_wrench(plan: KinematicTree, drive: YieldingSkidSteer, setpoint: Array, state: RobotState) -> Array:
+    """Return the wrench (..., 6) that makes up for sideways friction which tyres lack; none on its side.
+
+    Wheels that an obstacle or a slope slows down on one side do not count: only a turn that is commanded.
+    """
+    left, right = (
+        state.joint_vel[..., np.array([plan.joint_index(name) for name in names])].mean(-1)
+        for names in (drive.left, drive.right)
+    )
+    spins = drive.targets(setpoint)
+    turning, commanded = right - left, spins[..., -1] - spins[..., 0]
+    least = xp.sign(turning) * xp.minimum(xp.abs(turning), MAX_TURNING * xp.abs(commanded))
+    turning = xp.where(turning * commanded > 0.0, least, 0.0)  # also where a setpoint is NaN
+    up = mat_from_quat(state.quat)[..., 2]
+    torque = xp.where(up[..., 2] > MIN_TYRES_COS, drive.yaw_torque(turning, state.angular[..., 2]), 0.0)
+    return xp.concatenate([xp.zeros_like(up), torque[..., None] * up], -1)
 
 
 def _scaled(values: Array, factor: Array | None) -> Array:

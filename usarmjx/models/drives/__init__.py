@@ -9,7 +9,7 @@ from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.drives.base import DRY_DEPTH, Drive, JointControl, VehicleType
 from usarmjx.models.drives.fluid import Underwater
 from usarmjx.models.drives.flying import Blimp, RotaryWing
-from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer, Tracks
+from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer, Tracks, YieldingSkidSteer
 
 __all__ = [
     "DRY_DEPTH",
@@ -25,4 +25,5 @@ __all__ = [
     "Underwater",
     "VehicleType",
     "Wheel",
+    "YieldingSkidSteer",
 ]

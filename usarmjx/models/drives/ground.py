@@ -12,6 +12,13 @@ from usarmjx.base.backend import xp
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.drives.base import Drive, JointControl, VehicleType
 
+YIELD_RATE = 0.05
+"""Turning rate at which tyres yield by half of what they do at high rates [rad/s]."""
+EASE_BAND = 0.5
+"""Excess of the turning rate over that of the wheels at which tyres no longer yield [rad/s]."""
+MAX_EASE = 1.5
+"""Largest yaw torque of yielding tyres, over their `ease`."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class OmniDrive(Drive):
@@ -147,6 +154,32 @@ class SkidSteer(Drive):
     def top_speed(self) -> float:
         """Speed at the highest wheel speed [m/s]."""
         return self.max_spin * self.radius
+
+
+@dataclass(frozen=True, kw_only=True)
+class YieldingSkidSteer(SkidSteer):
+    """Skid-steered wheels on tyres that resist sliding sideways less than sliding ahead.
+
+    MuJoCo's contacts have one friction coefficient for both directions. A yaw torque on the chassis makes up
+    for the part of it that such tyres do not have: up to it, the robot turns at the rate of its `lever`.
+
+    Attributes:
+        ease: Sideways friction that the tyres lack, as a yaw torque [N m].
+    """
+
+    ease: float
+
+    def yaw_torque(self, difference: Array, rate: Array) -> Array:
+        """Return the torque to the left [N m] (...,): none against the wheels, and none faster than they say.
+
+        Args:
+            difference: Spin of the right wheels less that of the left ones [rad/s] (...,).
+            rate: Turning rate to the left [rad/s] (...,).
+        """
+        wanted = difference * (self.radius / self.lever)
+        # Friction does not depend on speed; close to standstill its direction would change at every step.
+        torque = self.ease * (wanted / (xp.abs(wanted) + YIELD_RATE) + (wanted - rate) / EASE_BAND)
+        return xp.sign(wanted) * xp.clip(torque * xp.sign(wanted), 0.0, MAX_EASE * self.ease)
 
 
 @dataclass(frozen=True, kw_only=True)

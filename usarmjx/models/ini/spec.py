@@ -8,7 +8,7 @@ from usarmjx.base.errors import SpecError, UsageError, quoted
 from usarmjx.base.registry import Registry
 from usarmjx.models.compile.measure import with_measurements
 from usarmjx.models.compile.parts import parts_of
-from usarmjx.models.drives import SkidSteer
+from usarmjx.models.drives import SkidSteer, YieldingSkidSteer
 from usarmjx.models.ini.drive import change_wheels, drive_of, read_roles
 from usarmjx.models.ini.items import (
     ITEM_LISTS,
@@ -159,6 +159,8 @@ def _changed_robot(
     parts = build_parts(pairs, base.mass, sources.robots)
     parts, drive = drive_of(pairs, parts, roles, sources.warnings)
     if isinstance(drive, SkidSteer) and isinstance(base.drive, SkidSteer):  # its controller stays
+        if isinstance(base.drive, YieldingSkidSteer) and type(drive) is SkidSteer:  # and so do its tyres
+            drive = YieldingSkidSteer(**vars(drive), ease=base.drive.ease)
         drive = replace(drive, max_turn=base.drive.max_turn, lever=base.drive.lever)
     return replace(base, parts=parts, drive=drive, reported_joints=())
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.drives import SkidSteer
+from usarmjx.models.drives import SkidSteer, YieldingSkidSteer
 from usarmjx.models.robots.kit import (
     BLACK,
     DARK,
@@ -123,7 +123,10 @@ P2AT_WIDTH = 0.4968  # captured GEO; the tyres' outer faces, which gives their w
 P2AT_SCANNER = (0.1439, 0.0, -0.0920)  # captured
 # Captured CONF MaxSpeed: 0.7 m/s. The torque is about what a tyre can put on the ground (chosen).
 P2AT_MOTOR = Motor(max_speed=5.385, torque=4.0, armature=0.15)
-P2AT_LEVER = 0.70  # measured here: it turns at 114 deg/s at full speed
+# Manual 12.1.1: wheels that make 0.7 m/s turn it at 140 deg/s, as wheels 0.573 m apart would without slip. In
+# the real robot's software they are 0.588 m apart (2 / DiffConvFactor of ARIA's p2at.p).
+P2AT_LEVER = 2 * 0.7 / math.radians(140)
+P2AT_EASE = 5.5  # fitted here to the turning rate
 
 P2AT = RobotSpec(
     name="P2AT",
@@ -161,13 +164,14 @@ P2AT = RobotSpec(
             ("RightRWheel", -P2AT_BASE / 2, P2AT_TRACK / 2),
         )
     ),
-    drive=SkidSteer(
+    drive=YieldingSkidSteer(
         left=("LeftFWheel", "LeftRWheel"),
         right=("RightFWheel", "RightRWheel"),
         max_spin=P2AT_MOTOR.max_speed,
         radius=P2AT_WHEEL,
         max_turn=math.radians(140),  # manual 12.1.1
         lever=P2AT_LEVER,
+        ease=P2AT_EASE,
     ),
     packages=(pan_tilt((0.1239, 0.0, -0.2036)),),  # captured
     sensors=(
