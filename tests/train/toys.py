@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.train.envs.state import AgentGroup, EnvState
 from usarmjx.train.learning.config import Config
 
@@ -41,8 +42,9 @@ class Toy:
         return self._jitted(state, actions)
 
     def reset(self, seed):
-        number = self.first + jnp.arange(self.worlds)
-        key = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(number)
+        seeds = jnp.atleast_1d(random.key(seed))
+        number = self.first + jnp.arange(self.worlds // len(seeds))
+        key = random.fold_in(seeds, number).reshape(-1)
         episode, zero = jnp.zeros(self.worlds, jnp.int32), jnp.zeros(self.worlds)
         x = jax.vmap(lambda k: self.start(jax.random.fold_in(k, 0)))(key)
         obs, privileged = jax.vmap(self.see)(x, episode)

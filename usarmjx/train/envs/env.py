@@ -420,13 +420,16 @@ class Env:
         """Return all worlds at the start of their first episode.
 
         Args:
-            seed: Seed of all random numbers; None: the environment's own.
+            seed: Seed of all random numbers; None: the environment's own. An array of seeds, or of their
+                keys, (groups,): the worlds are groups of equal size, each as an environment of that seed
+                alone has them.
             level: Difficulty of the generated arenas in play, from 0 to 1; see `at_level`.
             mixed: Whether worlds go through generated arenas with one of each level in turn, until they are
                 replaced; else they meet all easy ones first.
 
         Raises:
-            UsageError: A level below 1, or mixed levels, where no arenas are generated; or both.
+            UsageError: A level below 1, or mixed levels, where no arenas are generated; or both. Seeds whose
+                number does not divide the worlds.
         """
         if (level < 1.0 or mixed) and not self.levels:
             raise UsageError(f"{self.name} has no generated arenas, so none of level {level} or below")
@@ -434,6 +437,8 @@ class Env:
             raise UsageError(f"mixed levels are those of all arenas, not of level {level} and below")
         level_now = jnp.float32(level)
         key, arenas = random.key(self.seed if seed is None else seed), self._arenas(level_now)
+        if key.ndim and self.worlds % len(key):
+            raise UsageError(f"{self.worlds} worlds cannot be divided among {len(key)} seeds")
         if mixed and self._generated is not None:
             order = self._generated.mixed_order()
             arenas = jax.tree.map(lambda rows: rows[order], arenas)
@@ -480,15 +485,20 @@ class Env:
         )
 
     def _blank_state(self, key: jax.Array, level: jax.Array, arenas: ArenaState | None) -> EnvState:
-        """Return all worlds before their first episode: done with none, and all else is zero."""
+        """Return all worlds before their first episode: done with none, and all else is zero.
+
+        `key` is that of all, or of groups of equal size (groups,), each numbered from `first`.
+        """
 
         def zeros(one: jax.ShapeDtypeStruct) -> jax.Array:
             return jnp.zeros((self.worlds, *one.shape), one.dtype)
 
         (world, begun), metrics = self._known_shapes
-        numbers = self.first + jnp.arange(self.worlds)
+        numbers = self.first + jnp.arange(self.worlds // max(key.size, 1))
+        keys = random.fold_in(key, numbers)
+        numbers = jnp.tile(numbers, key.size)
         worlds = jax.tree.map(zeros, world.replace(key=None)).replace(
-            key=jax.vmap(partial(jax.random.fold_in, key))(numbers),
+            key=keys.reshape(-1),
             number=numbers,
             episode=jnp.full(self.worlds, -1, jnp.int32),
         )

@@ -2,7 +2,8 @@
 
 `checkpoints/00000020/` holds the state after 20 iterations: `learner_0.npz` (the train state) and
 `worlds_0.npz` (the rollout state) of process 0, those of other processes, and `meta.json`. The folder is
-written under another name and renamed when it is complete, so a folder of that name is whole.
+written under another name and renamed when it is complete, so a folder of that name is whole. Of several
+seeds that train at once each has a train state, and all share the worlds, see `seed_runs`.
 """
 
 import os
@@ -41,6 +42,8 @@ FORMAT = 3
 arrays are found by these names. Formats 1 and 2 were orbax's."""
 MOST_ARRAYS = 100_000
 """Most arrays of a part."""
+SET = "seeds"
+"""Field of `meta` of a checkpoint without worlds: the number of seeds that train together."""
 FULL = "at full difficulty"
 """Kind of a score that was measured with all arenas in play, on fixed seeds."""
 
@@ -215,16 +218,31 @@ class Checkpoints:
         Raises:
             WriteError: In all processes; nothing of it is left, and the earlier ones are whole.
         """
+        self.write(iteration, {"learner": train_state, "worlds": worlds}, note, keep=self.keep)
+
+    def write(
+        self, iteration: int, parts: Mapping[str, object], note: Mapping[str, Any], *, keep: int | None = None
+    ) -> None:
+        """Do as `save` does, with parts by name.
+
+        Args:
+            iteration: After which.
+            parts: The parts.
+            note: As for `save`.
+            keep: Latest ones that are kept; None: all are.
+
+        Raises:
+            WriteError: As `save`.
+        """
         process_group, path = self.process_group or ProcessGroup(), self.folder / f"{iteration:08d}"
         if path.exists():
             return
-        parts: dict[str, object] = {"learner": train_state, "worlds": worlds}
         meta = {"format": FORMAT, "iteration": iteration, "processes": process_group.count, **note}
         fresh = path.with_name(path.name + PARTIAL_MARK)
         steps = (
             partial(self._begin, fresh, process_group),
             partial(self._write, fresh, parts, process_group),
-            partial(self._finish, fresh, meta, process_group),
+            partial(self._finish, fresh, meta, process_group, keep),
         )
         try:
             for step in steps:
@@ -243,12 +261,15 @@ class Checkpoints:
         for name, tree in parts.items():
             write_part(fresh, name, tree, process_group.index)
 
-    def _finish(self, fresh: Path, meta: Mapping[str, Any], process_group: ProcessGroup) -> None:
+    def _finish(
+        self, fresh: Path, meta: Mapping[str, Any], process_group: ProcessGroup, keep: int | None
+    ) -> None:
         if process_group.index == 0:
             with _synced_file(fresh / "meta.json") as file:
                 file.write(kept_text(meta, indent=None).encode())
             fresh.rename(fresh.with_name(fresh.name.removesuffix(PARTIAL_MARK)))
-            self._delete_old()
+            if keep is not None:
+                self.delete_old(keep)
 
     @staticmethod
     def _in_all_processes(path: Path, step: Callable[[], None], process_group: ProcessGroup) -> None:
@@ -263,15 +284,26 @@ class Checkpoints:
         if not process_group.everywhere(fault is None):
             raise fault or WriteError(f"cannot write {path}: another process could not")
 
-    def _delete_old(self) -> None:
+    def delete_old(self, keep: int) -> None:
+        """Delete all but the latest ones, as many as are to be kept, and the best one."""
         paths = self.all()
-        kept = {*paths[-self.keep :], max(paths, key=self._rank)}
+        kept = {*paths[-keep:], max(paths, key=self._rank)}
         for path in (*(p for p in paths if p not in kept), *self.folder.glob(f"*{PARTIAL_MARK}")):
-            doomed = path.with_name(path.name + PARTIAL_MARK) if path.name.isdecimal() else path
-            if doomed != path:
-                with suppress(OSError):  # the next time will do
-                    path.rename(doomed)  # a half deleted folder must not pass for a checkpoint
-            shutil.rmtree(doomed, ignore_errors=True)
+            _delete(path)
+
+    def delete_after(self, iteration: int) -> None:
+        """Delete those of later iterations."""
+        for path in self.all():
+            if int(path.name) > iteration:
+                _delete(path)
+
+
+def _delete(path: Path) -> None:
+    doomed = path.with_name(path.name + PARTIAL_MARK) if path.name.isdecimal() else path
+    if doomed != path:
+        with suppress(OSError):  # the next time will do
+            path.rename(doomed)  # a half deleted folder must not pass for a checkpoint
+    shutil.rmtree(doomed, ignore_errors=True)
 
 
 def load_train_state(run: Path, which: str = "best") -> tuple[Networks, TrainState, RunRecord]:

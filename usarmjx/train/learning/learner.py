@@ -48,15 +48,19 @@ class Trainer:
         process_group: All processes.
     """
 
+    runs = 1
+    """Runs that train at once, each in worlds of its own."""
+
     def __init__(self, env: Env | EnvFactory, config: Config, process_group: ProcessGroup) -> None:
         config.check_processes(process_group.count)
         share = config.num_worlds // process_group.count
         if callable(env):
-            env = env(share, process_group.index * share)
-        if env.worlds != share:
+            env = env(share * self.runs, process_group.index * share)
+        if env.worlds != share * self.runs:
+            parts = f"{process_group.count} processes" if self.runs == 1 else f"each of {self.runs} seeds"
             raise UsageError(
-                f"the environment has {env.worlds} worlds; {config.num_worlds} worlds of "
-                f"{process_group.count} processes need {share}"
+                f"the environment has {env.worlds} worlds; {config.num_worlds} worlds of {parts} need "
+                f"{share * self.runs}"
             )
         _check_split(env)
         if config.curriculum and not env.levels:
@@ -75,15 +79,14 @@ class Trainer:
         # Programs are the same for all seeds and checkpoint settings.
         general = replace(config, seed=0, checkpoint_interval=1, keep_checkpoints=1, black_box=0)
         self._program_cache = known and known.of(
-            general, self.networks, process_group.index, process_group.count
+            general, self.networks, process_group.index, process_group.count, type(self).__name__
         )
-        first = process_group.index * share
         self.inspect: Inspector | None = None
-        self.rollout = Rollout(env, self.networks, config, first, teacher, self._program_cache)
+        self.rollout = self._make_rollout(process_group.index * share, teacher)
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
         self._begin = train_state_maker(self.networks, config, self._program_cache)
         self._everywhere = jax.shard_map(
-            partial(update, self.networks, config, process_group.count),
+            self._updater(),
             mesh=process_group.mesh,
             in_specs=(PartitionSpec(), (timed, once, once), PartitionSpec()),
             out_specs=(PartitionSpec(), PartitionSpec()),
@@ -92,12 +95,27 @@ class Trainer:
         self._update = PrecompiledProgram(
             compile_program(self._update_shards, self._program_cache, "Trainer", precise=False)
         )
-        keys = [jax.random.fold_in(random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
+        keys = [self._stream_key(stream) for stream in (ROLLOUT_STREAM, UPDATE_STREAM)]
         self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
         self._stream = process_group.to_global(updates, None)
-        self._fold = jax.jit(jax.random.fold_in)
+        self._fold: Callable[..., jax.Array] = jax.jit(jax.random.fold_in)
         self._sums = jax.jit(_with_axis)
         self._best_actions = jax.jit(partial(self.networks.policy.act, deterministic=True))
+
+    def _make_rollout(self, first: int, teacher: Policy | None) -> Rollout:
+        return Rollout(self.env, self.networks, self.config, first, teacher, self._program_cache)
+
+    def _updater(self) -> Callable[..., tuple[TrainState, dict[str, jax.Array]]]:
+        """Return the function of train state, experience and stream, see `update`."""
+        return partial(update, self.networks, self.config, self.process_group.count)
+
+    def _stream_key(self, stream: int) -> jax.Array:
+        """Return the key of a stream of random numbers."""
+        return jax.random.fold_in(random.key(self.config.seed), stream)
+
+    def numbers(self, known: dict[str, jax.Array]) -> list[dict[str, float]]:
+        """Return the numbers for the log of each run, once they are computed."""
+        return [{name: float(value) for name, value in jax.device_get(known).items()}]
 
     def start(self) -> tuple[TrainState, RolloutState]:
         """Return the train state before the first update, and worlds at their start."""

@@ -195,8 +195,13 @@ class MetricsLog:
         self._lines.close()
         self._board.close()
 
-    def write(self, record: dict[str, Any]) -> None:
-        """Write down an iteration: `iteration`, `agent_steps`, `steps_per_s` and what `summary` returns."""
+    def write(self, record: dict[str, Any], shown: Mapping[str, Any] | None = None) -> None:
+        """Write down an iteration: `iteration`, `agent_steps`, `steps_per_s` and what `summary` returns.
+
+        Args:
+            record: The iteration.
+            shown: Numbers for the terminal; None: those of the record.
+        """
         iteration, line = record["iteration"], json.dumps(record) + "\n"
         numbers = {
             name: value
@@ -205,13 +210,15 @@ class MetricsLog:
         }
         self._try(self._lines, lambda: self._lines.append(line.encode()))
         self._try(self._board, lambda: self._board.show(record["agent_steps"], numbers))
-        self._shown |= numbers
-        shown = {name: self._shown.get(name, math.nan) for name in ("steps_per_s", "return", "score", "bad")}
+        known = numbers if shown is None else {name: one for name, one in shown.items() if one is not None}
+        self._shown |= known
+        names = ("steps_per_s", "return", "score", "bad")
+        latest = {name: self._shown.get(name, math.nan) for name in names}
         text = "{steps_per_s:,.0f} steps/s  return {return:.3g}  score {score:.3g}  bad worlds {bad:.2%}"
         with suppress(OSError):
-            self._bar.update(self._task, completed=iteration, description=text.format(**shown))
+            self._bar.update(self._task, completed=iteration, description=text.format(**latest))
         if self._line_log is not None:
-            self._line_log(f"{iteration}/{self._total} iterations  {text.format(**shown)}")
+            self._line_log(f"{iteration}/{self._total} iterations  {text.format(**latest)}")
 
     def _try(self, file: AppendedFile, write: Callable[[], None]) -> None:
         try:

@@ -71,6 +71,9 @@ def _step_sums(after: StepView, ended: jax.Array, bad: jax.Array) -> dict[str, j
 class Rollout:
     """Rollouts in the worlds of this process.
 
+    Attributes:
+        worlds: Number of worlds that a policy acts in.
+
     Args:
         env: The worlds of this process.
         networks: Shapes of policy and critics.
@@ -90,7 +93,7 @@ class Rollout:
         program_cache: ProgramCache | None = None,
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
-        self.teacher = teacher
+        self.teacher, self.worlds = teacher, env.worlds
         self.look: Callable[[EnvState], None] = _no_watcher
         """Receives the worlds: after every action, or where a whole rollout is compiled, after that."""
         # Networks bear TensorFloat-32, which physics and sensors do not.
@@ -120,11 +123,11 @@ class Rollout:
     def start(self, level: float) -> RolloutState:
         """Return the worlds at the start of their first episodes, some of which will be short."""
         config = self.config
+        given, key = self._seeds()
         # A seed on the device puts all worlds there from their first step on: nothing is compiled twice.
-        given = random.key(config.seed) if config.seed >> 32 else np.uint32(config.seed)
         seed = jax.device_put(given, jax.local_devices()[0])
         env = self.env.reset(seed, level) if config.curriculum else self.env.reset(seed)
-        number, offset, carry = self._begin(jax.random.fold_in(random.key(config.seed), STAGGER_STREAM))
+        number, offset, carry = self._begin(key)
         if config.stagger_resets:  # by counting steps that never were, so nothing else of an episode changes
             env = env.replace(length=offset.astype(env.length.dtype))
             if (task := getattr(self.env, "task", None)) is not None:
@@ -139,16 +142,22 @@ class Rollout:
             is_first=jnp.ones(self.env.worlds, bool),
         )
 
+    def _seeds(self) -> tuple[Any, jax.Array]:
+        """Return what the worlds' first reset takes as a seed, and the key of the first episodes' lengths."""
+        seed = self.config.seed
+        given = random.key(seed) if seed >> 32 else np.uint32(seed)
+        return given, jax.random.fold_in(random.key(seed), STAGGER_STREAM)
+
     def _initial_carry(self, key: jax.Array) -> tuple[jax.Array, jax.Array, GroupArrays]:
         """Return the worlds' numbers, the offsets of their first episodes, and the carry."""
-        number = self.first + jnp.arange(self.env.worlds)
+        number = self.first + jnp.arange(self.worlds)
         keys = fold_each(key, number)
 
         def draw(key: jax.Array) -> jax.Array:
             return jax.random.randint(key, (), 0, self.env.episode_steps)
 
         offset = jax.vmap(draw)(keys)
-        return number, offset, self.networks.policy.initial_carry(self.env.worlds)
+        return number, offset, self.networks.policy.initial_carry(self.worlds)
 
     @jax.named_scope("policy")
     def _choose_actions(
@@ -228,7 +237,7 @@ class Rollout:
         zeros = tuple(jnp.zeros_like(value) for value in decision.value)
         # Few steps truncate an episode: only then the critic runs a second time.
         bootstrap = jax.lax.cond(
-            truncated.any(),
+            self._any(truncated),
             lambda: self._value(train_state, after.final_obs, after.final_privileged, decision.critic_carry)[
                 0
             ],
@@ -262,6 +271,10 @@ class Rollout:
         sums = _sum_worlds({**episode_sums, **_step_sums(after, ended, bad)})
         carry = self._next_carry(decision, before, after, done)
         return step, carry, jnp.where(done, 0.0, episode_return), sums
+
+    def _any(self, where: jax.Array) -> jax.Array:
+        """Return whether something is true in any world (worlds,) that is computed at once ()."""
+        return where.any()
 
     def _next_carry(
         self, decision: Decision, before: StepView, after: StepView, done: jax.Array

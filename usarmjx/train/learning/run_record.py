@@ -1,6 +1,7 @@
 """The settings that a run was started with, kept beside its results as `config.json`."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +15,8 @@ from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.learning.config import Config, differences, from_record
 
 RECORD_FILE = "config.json"
+SET_FILE = "seeds.json"
+"""File of a folder whose folders `seed-K` are the runs of several seeds that train together."""
 FORMAT = 1
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "numpy")
 """Packages whose versions a record keeps, because results depend on them."""
@@ -127,6 +130,10 @@ def load_record(folder: Path) -> RunRecord:
         UsageError: There is none, or it does not read.
     """
     file = Path(folder) / RECORD_FILE
+    if not file.is_file() and (seeds := load_seeds(Path(folder))):
+        raise UsageError(
+            f"{folder} has the runs of {len(seeds)} seeds: name one, as {seed_folder(folder, seeds[0])}"
+        )
     if not file.is_file():
         raise UsageError(f"{folder} is no run: it has no {RECORD_FILE}")
     try:
@@ -136,4 +143,37 @@ def load_record(folder: Path) -> RunRecord:
         values["config"] = from_record(values["config"])
         return default_reader().from_data(RunRecord, values, where=str(file))
     except (KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"{file} does not read: {error}") from error
+
+
+def seed_folder(folder: Path, seed: int) -> Path:
+    """Return the folder of a seed's run in the folder of several that train together."""
+    return Path(folder) / f"seed-{seed}"
+
+
+def save_seeds(folder: Path, seeds: Sequence[int]) -> None:
+    """Note in a folder which seeds train together there.
+
+    Raises:
+        WriteError: It cannot be written to.
+    """
+    with atomic_write(folder / SET_FILE) as fresh:
+        fresh.write_text(kept_text({"format": FORMAT, "seeds": list(seeds)}), encoding="utf-8")
+
+
+def load_seeds(folder: Path) -> tuple[int, ...]:
+    """Return the seeds that train together in a folder; none: it has no such runs.
+
+    Raises:
+        UsageError: The note of them does not read.
+    """
+    file = folder / SET_FILE
+    if not file.is_file():
+        return ()
+    try:
+        values = read_kept(file)
+        if values["format"] != FORMAT:
+            raise UsageError(f"{file} was written by another version of usarmjx")
+        return tuple(int(seed) for seed in values["seeds"])
+    except (KeyError, TypeError, ValueError) as error:
         raise UsageError(f"{file} does not read: {error}") from error

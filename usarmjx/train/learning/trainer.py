@@ -1,28 +1,27 @@
 """Training: rollout, update, log, checkpoint; and going on where a run was left."""
 
 import time
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager, nullcontext
-from dataclasses import dataclass, replace
-from itertools import chain
+from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 from jax.sharding import SingleDeviceSharding
 
-from usarmjx.base.errors import UsageError, WriteError, extra, need_module
+from usarmjx.base.errors import UsageError, extra, need_module
 from usarmjx.base.files import PARTIAL_MARK, writing
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
-from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
+from usarmjx.train.learning.checkpoint import SET, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
-from usarmjx.train.learning.launch import check_parent
+from usarmjx.train.learning.iterations import Records, RunOutputs, TrainResult, run_iterations
 from usarmjx.train.learning.learner import EnvFactory, Trainer
-from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
+from usarmjx.train.learning.metrics import MetricsLog
 from usarmjx.train.learning.processes import ProcessGroup, run_lock
 from usarmjx.train.learning.rollout_inputs import Inspector
 from usarmjx.train.learning.run_record import (
@@ -77,25 +76,6 @@ with extra("train"):  # said before anything is built, although it is needed onl
     need_module("tensorboardX")
 
 
-@dataclass(frozen=True)
-class TrainResult:
-    """Result of a run.
-
-    Attributes:
-        run: Its folder.
-        iterations: Updates in all.
-        agent_steps: Steps of all robots in all.
-        last_metrics: Record of the last iteration.
-        stopped: Whether a signal ended it before its last iteration.
-    """
-
-    run: Path
-    iterations: int
-    agent_steps: int
-    last_metrics: dict[str, Any]
-    stopped: bool = False
-
-
 def train(  # noqa: PLR0913 - all but three may be left out
     env: Env | EnvFactory,
     config: Config,
@@ -143,7 +123,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         trainer.rollout.look, trainer.inspect = look or trainer.rollout.look, inspect
         checkpoints = Checkpoints(out, process_group, config.keep_checkpoints)
         if not resume:
-            _lock(held, out, process_group)
+            lock_run(held, out, process_group)
             _check_new(out, process_group)  # another one may have been quicker
         record = make_record(trainer.env, config, process_group.count, origin)
         _prepare(out, _checked_record(record, trainer, checkpoints, resume, source), process_group)
@@ -151,9 +131,18 @@ def train(  # noqa: PLR0913 - all but three may be left out
         with compiling(trainer):
             train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
-        log = MetricsLog(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
-        left = train_state, worlds, before
-        return _run(trainer, checkpoints, left, log, watch or _ignore, began, stop)
+        first = process_group.index == 0
+        logs = [MetricsLog(out, trainer.iterations, before, bar=progress)] if first else []
+
+        def save(iteration: int, train_state: TrainState, worlds: RolloutState, notes: Records) -> None:
+            checkpoints.save(iteration, train_state, worlds, notes[0])
+
+        def show(lines: Records) -> None:
+            if watch is not None:
+                watch(lines[0])
+
+        outputs = RunOutputs(folders=[out], logs=logs, save=save, watch=show)
+        return run_iterations(trainer, outputs, (train_state, worlds, before), began, stop)[0]
 
 
 def _open_run(held: ExitStack, out: Path, process_group: ProcessGroup, resume: bool) -> None:
@@ -161,7 +150,7 @@ def _open_run(held: ExitStack, out: Path, process_group: ProcessGroup, resume: b
     if resume and not (out / RECORD_FILE).exists():
         raise UsageError(f"nothing to resume in {out}: it has no {RECORD_FILE}")
     if (out / RECORD_FILE).exists():
-        _lock(held, out, process_group)
+        lock_run(held, out, process_group)
 
 
 def _checked_record(
@@ -175,7 +164,7 @@ def _checked_record(
     if resume:
         old = load_record(checkpoints.run)
         record.check_resumes(old, checkpoints.run)
-        _check_ahead(trainer, checkpoints)
+        check_ahead(trainer, checkpoints)
         record = replace(record, began_with=old.began_with)
     if source is not None:
         source.check(trainer.networks)
@@ -184,7 +173,7 @@ def _checked_record(
     return record
 
 
-def _lock(held: ExitStack, out: Path, process_group: ProcessGroup) -> None:
+def lock_run(held: ExitStack, out: Path, process_group: ProcessGroup) -> None:
     """Keep other trainers out of the folder; the first of several processes does that for all."""
     if process_group.index == 0:
         with writing(out):
@@ -197,7 +186,7 @@ def _check_new(out: Path, process_group: ProcessGroup) -> None:
         raise UsageError(f"{out} has a run already; resume it, or choose another folder")
 
 
-def _check_ahead(trainer: Trainer, checkpoints: Checkpoints) -> None:
+def check_ahead(trainer: Trainer, checkpoints: Checkpoints) -> None:
     """Refuse to resume a run that has more agent steps than requested."""
     if checkpoints.all():
         done = checkpoints.meta(checkpoints.find("last"))
@@ -229,6 +218,10 @@ def _restore(
         return train_state, worlds, 0
     path, index = checkpoints.find("last"), trainer.process_group.index
     meta = checkpoints.meta(path)
+    if SET in meta:
+        raise UsageError(
+            f"{checkpoints.run} is one of {meta[SET]} seeds that train together: resume the folder above it"
+        )
     if meta["processes"] != trainer.process_group.count:
         raise UsageError(
             f"{path} is of {meta['processes']} processes, these are {trainer.process_group.count}"
@@ -236,190 +229,3 @@ def _restore(
     train_state = read_part(path, "learner", train_state, index)
     worlds = read_part(path, "worlds", worlds, index)
     return *trainer.process_group.device_put((train_state, worlds)), meta["iteration"]
-
-
-def _mean_score(lines: list[dict[str, Any]]) -> float | None:
-    """Return the mean score of the episodes of some iterations; None where none ended."""
-    rows = [(line["episodes"], line["score"]) for line in lines if line["score"] is not None]
-    count = sum(episodes for episodes, _ in rows)
-    return sum(episodes * score for episodes, score in rows) / count if count else None
-
-
-def _scored(trainer: Trainer, train_state: TrainState, lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return a checkpoint's score and its kind: under a curriculum not that of easy arenas."""
-    if not trainer.config.curriculum:
-        return {"score": _mean_score(lines), "kind": "in training"}
-    first = trainer.process_group.index == 0  # who writes the note
-    return {"score": trainer.full_difficulty_score(train_state) if first else None, "kind": FULL}
-
-
-class _CheckpointWriter:
-    """Writer of checkpoints in a thread beside the training, one at a time.
-
-    A checkpoint of a GPU's worlds takes longer than an iteration to fetch and write, and the device would
-    wait for it. Several processes write together, which takes collectives that must not meet those of an
-    update: then each save is waited for.
-
-    Args:
-        checkpoints: Those of the run.
-        beside: Whether a thread writes.
-        say: Receives a line about a checkpoint that could not be written.
-        watch: Receives the records of iterations, each after the checkpoints before it are written.
-    """
-
-    def __init__(
-        self,
-        checkpoints: Checkpoints,
-        beside: bool,
-        say: Callable[[str], None],
-        watch: Callable[[dict[str, Any]], None],
-    ) -> None:
-        self._checkpoints, self._say, self._watch = checkpoints, say, watch
-        self._pool = ThreadPoolExecutor(1, "checkpoints") if beside else None
-        self._lines: list[dict[str, Any]] = []
-        self._written: Future[WriteError | None] = Future()
-        self._written.set_result(None)
-
-    def save(self, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]) -> None:
-        """Begin to write a checkpoint; `settle` the one before first."""
-        if self._pool is None:
-            self._written = Future()
-            self._written.set_result(self._write(iteration, state, note))
-        else:
-            self._written = self._pool.submit(self._write, iteration, state, note)
-
-    def show(self, line: dict[str, Any], last: bool) -> None:
-        """Hand on a line, at once unless a checkpoint is being written or it is the last line."""
-        self._lines.append(line)
-        if self._written.done() and not last:
-            self.settle()
-
-    def settle(self) -> None:
-        """Wait for the checkpoint that is being written, and hand on the lines that waited for it."""
-        if fault := self.finish():
-            self._say(f"{fault}; training goes on, and the next checkpoint is tried")
-
-    def finish(self) -> WriteError | None:
-        """Do as `settle` does; return why the checkpoint could not be written, or None."""
-        fault = self._written.result()
-        self._written = Future()
-        self._written.set_result(None)
-        while self._lines:
-            self._watch(self._lines.pop(0))
-        return fault
-
-    def _write(
-        self, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]
-    ) -> WriteError | None:
-        try:
-            self._checkpoints.save(iteration, *state, note)
-        except WriteError as error:
-            return error
-        return None
-
-    def close(self) -> None:
-        """Wait, and end the thread."""
-        if self._pool is not None:
-            self._pool.shutdown()
-
-
-def _ignore(what: object) -> None:
-    del what
-
-
-class _Iteration(NamedTuple):
-    """An iteration whose numbers may still be at work.
-
-    Attributes:
-        number: From 1.
-        known: Numbers for the log.
-        state: The state after it, if a checkpoint of it is due; else None.
-        last: Whether the training ends with it.
-    """
-
-    number: int
-    known: dict[str, jax.Array]
-    state: tuple[TrainState, RolloutState] | None
-    last: bool
-
-
-def _iterations(
-    trainer: Trainer, restored: tuple[TrainState, RolloutState, int], stop: StopRequest
-) -> Iterator[list[_Iteration]]:
-    """Iterate to the end, from where it was left, or until a stop is requested.
-
-    Yields:
-        Iterations whose numbers can be read: the one before, while the next one is at work, so that the
-        device does not wait for the host; at the end the last one, too. Worlds that are stepped by the host
-        leave nothing at work: then it is the iteration itself, and its time is its own.
-    """
-    train_state, worlds, done = restored
-    pending: list[_Iteration] = []
-    for number in range(done + 1, trainer.iterations + 1):
-        train_state, worlds, known = trainer.iterate(train_state, worlds, number - 1)
-        if trainer.process_group.count == 1:
-            stop.arm()
-        last = number == trainer.iterations or stop.requested
-        due = last or number % trainer.config.checkpoint_interval == 0
-        pending.append(_Iteration(number, known, (train_state, worlds) if due else None, last))
-        if last or not trainer.env.traceable:
-            ready, pending = pending, []
-        else:
-            ready, pending = pending[:-1], pending[-1:]
-        yield ready
-        if last:
-            return
-
-
-def _line(trainer: Trainer, iteration: int, sums: dict[str, float], rate: float) -> dict[str, Any]:
-    """Return the record of an iteration."""
-    world_steps = trainer.config.rollout_length * trainer.config.num_worlds
-    return {
-        "iteration": iteration,
-        "agent_steps": iteration * world_steps * trainer.agents,
-        "steps_per_s": rate,
-        "level": trainer.level(iteration - 1),
-        **summary(sums, world_steps),
-    }
-
-
-def _run(
-    trainer: Trainer,
-    checkpoints: Checkpoints,
-    restored: tuple[TrainState, RolloutState, int],
-    log: MetricsLog | None,
-    watch: Callable[[dict[str, Any]], None],
-    began: float,
-    stop: StopRequest | None,
-) -> TrainResult:
-    """Iterate to the end, from where it was left; the first iteration's time is from when it compiled."""
-    out, done, stop = checkpoints.run, restored[2], stop or StopRequest(_ignore)
-    steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
-    lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
-    line: dict[str, Any] = {}
-    say: Callable[[str], None] = log.say if log else _ignore
-    writer = _CheckpointWriter(checkpoints, trainer.process_group.count == 1, say, watch)
-    with log or nullcontext(), closing(writer):
-        for finished in chain.from_iterable(_iterations(trainer, restored, stop)):
-            done = finished.number
-            sums = {name: float(value) for name, value in jax.device_get(finished.known).items()}
-            began, seconds = (now := time.perf_counter()), now - began
-            line = _line(trainer, done, sums, steps / seconds)
-            lines.append(line)
-            if finished.state is not None:
-                writer.settle()
-            if log:
-                log.write(line)
-            if finished.state is not None:
-                note = {"agent_steps": done * steps, **_scored(trainer, finished.state[0], lines)}
-                writer.save(done, finished.state, note)
-                lines.clear()
-            writer.show(line, last=finished.last)
-            check_parent()
-        if fault := writer.finish():
-            raise WriteError(f"{fault}; the last checkpoint is missing: resume the run from the one before")
-        if log:
-            log.check_whole()
-    if not line:  # the run was over already
-        line = (read_lines(out / "metrics.jsonl") or [{}])[-1]
-    return TrainResult(out, done, done * steps, line, stopped=done < trainer.iterations)

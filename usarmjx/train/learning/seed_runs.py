@@ -1,0 +1,255 @@
+"""Training of several seeds in one program, each with a folder of its own.
+
+`OUT/seed-3` is the run of seed 3, with the files of a run that trained alone. The checkpoints of OUT have the
+worlds of all seeds: a checkpoint counts once OUT has it, and OUT gets it last.
+"""
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+
+from usarmjx.base import random
+from usarmjx.base.errors import UsageError
+from usarmjx.base.files import PARTIAL_MARK
+from usarmjx.train.envs.env import Env
+from usarmjx.train.learning.checkpoint import SET, Checkpoints, read_part
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
+from usarmjx.train.learning.iterations import (
+    IterationsWatch,
+    Records,
+    RunOutputs,
+    TrainResult,
+    ignore,
+    run_iterations,
+)
+from usarmjx.train.learning.learner import EnvFactory
+from usarmjx.train.learning.metrics import MetricsLog
+from usarmjx.train.learning.processes import ProcessGroup
+from usarmjx.train.learning.run_record import (
+    DEFAULT_ENV_ARGUMENTS,
+    RECORD_FILE,
+    SET_FILE,
+    EnvArguments,
+    RunRecord,
+    load_record,
+    load_seeds,
+    make_record,
+    save_seeds,
+    seed_folder,
+)
+from usarmjx.train.learning.seed_trainer import SeedTrainer, of_seed, stack_seeds
+from usarmjx.train.learning.stopping import StopRequest
+from usarmjx.train.learning.train_state import TrainState
+from usarmjx.train.learning.trainer import check_ahead, compiling, lock_run
+from usarmjx.train.learning.trajectory import RolloutState
+
+
+def train_seeds(  # noqa: PLR0913 - all but four may be left out
+    env: Env | EnvFactory,
+    config: Config,
+    out: str | Path,
+    seeds: Sequence[int],
+    resume: bool = False,
+    *,
+    origin: EnvArguments = DEFAULT_ENV_ARGUMENTS,
+    source: TrainedNetworks | None = None,
+    progress: bool = True,
+    watch: IterationsWatch | None = None,
+    stop: StopRequest | None = None,
+) -> list[TrainResult]:
+    """Train a policy for each of several seeds in one program, on one device.
+
+    Each seed has its own networks, worlds and random numbers, those of `train` with that seed, and learns the
+    same but for rounding.
+
+    Args:
+        env: An environment with `config.num_worlds` worlds for each seed; or what makes one of a number of
+            worlds and the number of the first of them.
+        config: Settings of each run; its seed does not matter.
+        out: Folder of all; the run of seed K is in the folder `seed-K` there.
+        seeds: The seeds.
+        resume: Go on where the runs in that folder were left; from the start if they had no checkpoint yet.
+        origin: See `train`.
+        source: Networks that each run begins with; None: random ones of its own.
+        progress: Show a bar in the terminal, of all runs together.
+        watch: Receives the records of each iteration, one for each seed.
+        stop: Ends the training early, with a checkpoint.
+
+    Returns:
+        The result of each seed.
+
+    Raises:
+        UsageError: As `train`; seeds that are not whole numbers or not different; several processes, or a
+            curriculum.
+        WriteError: As `train`.
+    """
+    out, process_group, seeds = Path(out), ProcessGroup(), _checked(seeds, config)
+    if process_group.count > 1:
+        raise UsageError("several seeds train in one process: train one seed, or leave out the processes")
+    with ExitStack() as held:
+        _open_set(held, out, seeds, resume)
+        trainer = SeedTrainer(env, config, process_group, seeds)
+        if not resume:
+            _lock_all(held, out, seeds)
+            _check_new(out, seeds)  # another one may have been quicker
+        checkpoints = SeedCheckpoints(out, seeds, config.keep_checkpoints)
+        records = [make_record(trainer.env, replace(config, seed=seed), 1, origin) for seed in seeds]
+        _prepare(out, seeds, [_checked_record(one, trainer, checkpoints, source) for one in records])
+        began = time.perf_counter()
+        with compiling(trainer):
+            restored = _restore(trainer, checkpoints, source)
+        outputs = RunOutputs(
+            folders=[run.run for run in checkpoints.runs],
+            logs=[
+                MetricsLog(run.run, trainer.iterations, restored[2], bar=progress and number == 0)
+                for number, run in enumerate(checkpoints.runs)
+            ],
+            save=checkpoints.save,
+            watch=watch or ignore,
+        )
+        return run_iterations(trainer, outputs, restored, began, stop)
+
+
+def _checked(seeds: Sequence[int], config: Config) -> tuple[int, ...]:
+    checked = tuple(random.checked_seed(seed) for seed in seeds)
+    if not checked or len(set(checked)) < len(checked):
+        raise UsageError(f"seeds are {list(checked)}, expected one or more, all different")
+    if config.curriculum:
+        raise UsageError(
+            f"curriculum is {config.curriculum}: several seeds at once have none; train one seed"
+        )
+    return checked
+
+
+def _open_set(held: ExitStack, out: Path, seeds: tuple[int, ...], resume: bool) -> None:
+    """Lock the folder to resume; refuse one with other runs."""
+    if not resume:
+        _check_new(out, seeds)
+        return
+    there = load_seeds(out)
+    if not there:
+        raise UsageError(f"nothing to resume in {out}: it has no {SET_FILE}")
+    if there != seeds:
+        raise UsageError(f"the runs in {out} have the seeds {list(there)}, not {list(seeds)}")
+    _lock_all(held, out, seeds)
+
+
+def _check_new(out: Path, seeds: tuple[int, ...]) -> None:
+    if load_seeds(out):
+        raise UsageError(f"{out} has runs already; resume them, or choose another folder")
+    for folder in (out, *(seed_folder(out, seed) for seed in seeds)):
+        if (folder / RECORD_FILE).exists():
+            raise UsageError(f"{folder} has a run already; choose another folder")
+
+
+def _lock_all(held: ExitStack, out: Path, seeds: tuple[int, ...]) -> None:
+    """Keep other trainers out of all folders."""
+    process_group = ProcessGroup()
+    for folder in (out, *(seed_folder(out, seed) for seed in seeds)):
+        lock_run(held, folder, process_group)
+
+
+class SeedCheckpoints:
+    """The checkpoints of runs that train together.
+
+    Args:
+        out: Folder of all.
+        seeds: The seeds.
+        keep: See `Checkpoints`.
+
+    Attributes:
+        shared: Those with the worlds of all.
+        runs: Those of each seed.
+    """
+
+    def __init__(self, out: Path, seeds: tuple[int, ...], keep: int) -> None:
+        self.shared = Checkpoints(out, keep=keep)
+        self.runs = [Checkpoints(seed_folder(out, seed), keep=keep) for seed in seeds]
+
+    def save(self, iteration: int, train_state: TrainState, worlds: RolloutState, notes: Records) -> None:
+        """Write a checkpoint of all runs, and drop old ones.
+
+        Args:
+            iteration: After which.
+            train_state: Of all seeds.
+            worlds: Of all seeds.
+            notes: Note of each seed, see `Checkpoints.save`.
+
+        Raises:
+            WriteError: The earlier ones are whole.
+        """
+        learners = jax.device_get(train_state)
+        for number, (run, note) in enumerate(zip(self.runs, notes, strict=True)):
+            run.write(iteration, {"learner": of_seed(learners, number)}, {**note, SET: len(self.runs)})
+        shared = {"agent_steps": notes[0]["agent_steps"], "score": None, SET: len(self.runs)}
+        self.shared.write(iteration, {"worlds": worlds}, shared)
+        # Only now: each run must have the checkpoint that the shared ones end with.
+        for one in (self.shared, *self.runs):
+            one.delete_old(one.keep)
+
+    def drop_unfinished(self, iteration: int) -> None:
+        """Delete runs' checkpoints of later iterations, whose worlds were not written any more.
+
+        Raises:
+            UsageError: A run was continued alone.
+        """
+        for run in self.runs:
+            for path in run.all():
+                if int(path.name) > iteration and SET not in run.meta(path):
+                    raise UsageError(f"{run.run} went on alone: resume it alone, or delete its checkpoints")
+            run.delete_after(iteration)
+
+
+def _checked_record(
+    record: RunRecord, trainer: SeedTrainer, checkpoints: SeedCheckpoints, source: TrainedNetworks | None
+) -> RunRecord:
+    """Return the record with the run that it began with, after a look at the run that is there."""
+    folder = seed_folder(checkpoints.shared.run, record.config.seed)
+    if (folder / RECORD_FILE).exists():
+        old = load_record(folder)
+        record.check_resumes(old, folder)
+        check_ahead(trainer, checkpoints.shared)
+        record = replace(record, began_with=old.began_with)
+    if source is not None:
+        source.check(trainer.networks)
+        record = replace(record, began_with=source.origin)
+    check_source(checkpoints.shared, record, source)
+    return record
+
+
+def _prepare(out: Path, seeds: tuple[int, ...], records: list[RunRecord]) -> None:
+    save_seeds(out, seeds)
+    for seed, record in zip(seeds, records, strict=True):
+        folder = seed_folder(out, seed)
+        for left in folder.glob(f".*{PARTIAL_MARK}-*"):  # by a trainer that was killed
+            left.unlink()
+        record.save(folder)
+
+
+def _restore(
+    trainer: SeedTrainer, checkpoints: SeedCheckpoints, source: TrainedNetworks | None
+) -> tuple[TrainState, RolloutState, int]:
+    train_state, worlds = trainer.start()
+    fresh = [of_seed(train_state, number) for number in range(trainer.runs)]
+    put = trainer.process_group.device_put
+    if source is not None:
+        train_state = put(stack_seeds([source.begin(one, trainer.config) for one in fresh]))
+        notes: Records = [{"agent_steps": 0, "score": None} for _ in fresh]
+        checkpoints.save(0, train_state, worlds, notes)
+        return train_state, worlds, 0
+    if not checkpoints.shared.all():
+        checkpoints.drop_unfinished(-1)
+        return train_state, worlds, 0
+    path = checkpoints.shared.find("last")
+    done = int(checkpoints.shared.meta(path)["iteration"])
+    checkpoints.drop_unfinished(done)
+    learners = [
+        read_part(run.find(str(done)), "learner", one)
+        for run, one in zip(checkpoints.runs, fresh, strict=True)
+    ]
+    return *put((stack_seeds(learners), read_part(path, "worlds", worlds))), done
