@@ -41,6 +41,7 @@ from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.known_names import check_policy
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import PicturesOption, RecordOption, export_recording
+from usarmjx.cli.seeds import check_alone, result_line, run_seeds, trains_seeds
 from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table, option_name
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import field_texts, fields_over, task_text
@@ -312,6 +313,13 @@ TotalStepsOption = Annotated[
 RunSeedOption = Annotated[
     int | None, typer.Option(help="Seed of all random numbers; 0, or that of a run that is resumed.")
 ]
+SeedsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Train that many seeds in one program, from --seed on, each in a folder seed-K of its own.",
+    ),
+]
 ResumeOption = Annotated[
     bool,
     typer.Option(
@@ -364,6 +372,7 @@ def train(
     num_worlds: NumWorldsOption = None,
     total_steps: TotalStepsOption = None,
     seed: RunSeedOption = None,
+    seeds: SeedsOption = None,
     engine: PolicyEngineOption = "auto",
     settings: TrainSetOption = None,
     config: ConfigOption = None,
@@ -407,6 +416,11 @@ def train(
         )
         if print_config:
             typer.echo(config_text(task, options), nl=False)
+            return
+        if trains_seeds(out, seeds, resume):
+            shows = {"--serve": serve, "--view": view, "--record": record is not None, "--clips": clips > 0}
+            check_alone({**shows, "--wandb": wandb is not None}, processes)
+            run_seeds(task, options, seeds, quiet)
             return
         if processes > 1 and not _joined():
             from usarmjx.train.learning.launch import spawn
@@ -589,9 +603,7 @@ def _train(
     finally:
         for watcher in watchers:
             watcher.close()
-    score = done.last_metrics.get("score")
-    shown = score if score is None else round(score, 3)
-    return f"{done.agent_steps:,} agent steps, score {shown}: {out}", done.stopped
+    return result_line(done), done.stopped
 
 
 def _look(watchers: "Sequence[_TrainingWatcher]", state: "EnvState") -> None:

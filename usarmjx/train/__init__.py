@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from usarmjx.train.evaluation.evaluate import Evaluation as Evaluation
     from usarmjx.train.evaluation.evaluate import evaluate_episodes as evaluate_episodes
     from usarmjx.train.learning.config import Config as Config
-    from usarmjx.train.learning.trainer import TrainResult as TrainResult
+    from usarmjx.train.learning.iterations import TrainResult as TrainResult
+    from usarmjx.train.learning.seed_runs import train_seeds as train_seeds
     from usarmjx.train.learning.trainer import train as train
     from usarmjx.train.make import make_task as make_task
     from usarmjx.train.policies import POLICIES as POLICIES
@@ -62,7 +63,9 @@ else:
             "usarmjx.train.evaluation.episode_table": ("evaluate",),
             "usarmjx.train.evaluation.evaluate": ("Episodes", "Evaluation", "evaluate_episodes"),
             "usarmjx.train.learning.config": ("Config",),
-            "usarmjx.train.learning.trainer": ("TrainResult", "train"),
+            "usarmjx.train.learning.seed_runs": ("train_seeds",),
+            "usarmjx.train.learning.iterations": ("TrainResult",),
+            "usarmjx.train.learning.trainer": ("train",),
             "usarmjx.train.make": ("make_task",),
             "usarmjx.train.policies": ("POLICIES",),
             "usarmjx.train.policies.export": ("export_run",),

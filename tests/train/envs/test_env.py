@@ -268,6 +268,21 @@ def test_seeds_give_other_episodes_and_the_same_seed_the_same(env):
     assert (one.memory.goal != other.memory.goal).any()
 
 
+def test_groups_of_worlds_begin_as_those_of_their_seeds_alone(env):
+    """Each of three seeds has a world, which is the first one of an environment of that seed."""
+    seeds = (4, 5, 4)
+    together = env.reset(jnp.array(seeds, jnp.uint32))
+    for place, seed in enumerate(seeds):
+        group, alone = (
+            jax.tree.map(lambda leaf, row=row: leaf[row : row + 1], worldly(state).task_state)
+            for state, row in ((together, place), (env.reset(seed), 0))
+        )
+        same(group, alone, slice(None))
+        assert together.batch.worlds.number[place] == 0
+    with pytest.raises(UsageError, match=r"^3 worlds cannot be divided among 2 seeds$"):
+        env.reset(jnp.array([4, 5], jnp.uint32))
+
+
 def test_nothing_is_compiled_after_the_first_restart(env):
     told = actions(env, (1.0, 0.5))
     state = run(env, env.reset(), told, LIMIT + 1)

@@ -56,6 +56,19 @@ launch = warp_gru._launch
 
 
 @pytest.mark.oracle
+def test_networks_of_several_seeds_run_one_after_another(monkeypatch):
+    """Mapped over seeds, each with its own weights, the kernels do what the twin does for each seed."""
+    several = [drawn(seed) for seed in (3, 4)]
+    expected = [results(*one) for one in several]
+    monkeypatch.setattr(networks, "warp_in_use", lambda: True)
+    given, slopes = jax.tree.map(lambda *leaves: jnp.stack(leaves), *several)
+    found = jax.vmap(results)(given, slopes)
+    for k, twins in enumerate(expected):
+        for one, twin in zip(found, twins, strict=True):
+            close(one[k], twin)
+
+
+@pytest.mark.oracle
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 def test_threads_of_a_gpu_do_what_the_twin_does():
     given, slopes = drawn(5)

@@ -9,6 +9,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jax.custom_batching import sequential_vmap
 
 from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.compilation import unroll_on_gpu
@@ -57,7 +58,7 @@ def _recur_sequentially(
     if _on_warp(gates, carry):
         from usarmjx.train.learning.warp_gru import recur_on_warp
 
-        return recur_on_warp(gates, weights, bias, carry, is_first)
+        return sequential_vmap(recur_on_warp)(gates, weights, bias, carry, is_first)
 
     def step(carry: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         gates, is_first = now
@@ -97,7 +98,7 @@ def _gradients_sequentially(
     if _on_warp(gradients, update):
         from usarmjx.train.learning.warp_gru import gradients_on_warp
 
-        return gradients_on_warp(gradients, own, update, weights, is_first)
+        return sequential_vmap(gradients_on_warp)(gradients, own, update, weights, is_first)
 
     def step(next_gradient: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         gradient, own, update, is_first = now
