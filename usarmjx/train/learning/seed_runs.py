@@ -120,9 +120,7 @@ def _checked(seeds: Sequence[int], config: Config) -> tuple[int, ...]:
     if not checked or len(set(checked)) < len(checked):
         raise UsageError(f"seeds are {list(checked)}, expected one or more, all different")
     if config.curriculum:
-        raise UsageError(
-            f"curriculum is {config.curriculum}: several seeds at once have none; train one seed"
-        )
+        raise UsageError(f"curriculum is {config.curriculum}: seeds that train together have none")
     return checked
 
 
