@@ -20,7 +20,7 @@ from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import say
 from usarmjx.cli.train import _served, recorded_engine
 from usarmjx.train.learning.config import Config, task_config, training_engine
-from usarmjx.train.learning.run_record import EnvArguments, RunRecord
+from usarmjx.train.learning.run_record import EnvArguments, RunRecord, save_seeds, seed_folder
 from usarmjx.train.learning.trainer import TrainResult
 from usarmjx.train.policies.policy_file import NumpyPolicy
 
@@ -235,3 +235,50 @@ def test_a_system_without_posix_pipes_is_told_how_to_serve_a_run(monkeypatch):
         refused = pytest.raises(UsageError, match=r"run `usarmjx play runs/x --serve --follow` beside it")
         with refused, _served("runs/x", "drive-to-goal", 3000, True):
             pass
+
+
+def test_several_seeds_are_runs_in_one_folder_and_go_on_with_their_settings(tmp_path, monkeypatch):
+    """Numbered from --seed on; what they were started with need not be typed again."""
+    asked = []
+
+    def train(env, config, out, seeds, resume, *, origin, **_):
+        asked.append((config.seed, config.num_worlds, out, seeds, resume, origin.engine))
+        return [TrainResult(seed_folder(out, seed), 1, 8, {"score": 0.25}) for seed in seeds]
+
+    monkeypatch.setattr("usarmjx.train.learning.seed_runs.train_seeds", train)
+    out = tmp_path / "runs"
+    result = invoke("train", *SMALL, "--set", "num_minibatches=1", "--seeds", 2, "--seed", 5, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.splitlines() == [
+        f"8 agent steps, score 0.25: {out / 'seed-5'}",
+        f"8 agent steps, score 0.25: {out / 'seed-6'}",
+    ]
+    assert asked.pop() == (5, 2, out, (5, 6), False, "c")
+    shape = {"groups": (), "privileged_size": 0, "episode_steps": 7, "period": 0.2, "processes": 1}
+    for seed in (9, 4):
+        seed_folder(out, seed).mkdir(parents=True)
+        config = Config(num_worlds=3, num_minibatches=3, seed=seed)
+        RunRecord(task="drive-to-goal", engine="c", config=config, **shape).save(seed_folder(out, seed))
+    save_seeds(out, (9, 4))
+    assert invoke("train", "drive-to-goal", "--resume", "--out", out).exit_code == 0
+    assert asked.pop() == (9, 3, out, (9, 4), True, "c")
+    assert invoke("train", "drive-to-goal", "--resume", "--seeds", 3, "--out", out).exit_code == 0
+    assert asked.pop()[3] == (9, 10, 11)  # which the trainer refuses
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--processes", 2], "several seeds train in one process: leave out --processes, or --seeds"),
+        (["--serve"], "--serve shows a single seed: leave it out, or --seeds"),
+        (["--view"], "--view shows a single seed: leave it out, or --seeds"),
+        (["--record", "x.mcap"], "--record shows a single seed: leave it out, or --seeds"),
+        (["--clips", 5], "--clips shows a single seed: leave it out, or --seeds"),
+        (["--wandb", "x"], "--wandb shows a single seed: leave it out, or --seeds"),
+    ],
+)
+def test_what_is_for_a_single_seed_is_refused_in_a_line(words, message, tmp_path):
+    result = invoke("train", "drive-to-goal", "--seeds", 2, "--out", tmp_path / "x", *words)
+    assert result.exit_code == 2
+    assert result.stderr == f"usarmjx: {message}\n"
+    assert not list(tmp_path.iterdir())
