@@ -153,7 +153,7 @@ def test_afterwards_signals_mean_what_they_did():
 
 TRAINING = """
 import hashlib, sys, time
-from usarmjx.cli.train import stop_request
+from usarmjx.cli.train_plan import stop_request
 
 with stop_request() as stop:
     {before}

@@ -6,7 +6,7 @@ import pytest
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import parse_assignments, settings_markdown
-from usarmjx.cli.train import TrainOptions, read_settings
+from usarmjx.cli.train_plan import TrainOptions, read_settings
 from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.spec import complete
 from usarmjx.sweeps.typed import typed_settings

@@ -10,9 +10,9 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.startup_messages import announce, say, tried_on
+from usarmjx.cli.train_plan import TrainOptions, plan_run, recorded_engine, stop_request
 
 if TYPE_CHECKING:
-    from usarmjx.cli.train import TrainOptions
     from usarmjx.train.envs.env import Env
     from usarmjx.train.learning.iterations import TrainResult
 
@@ -43,7 +43,7 @@ def check_alone(views: Mapping[str, bool], processes: int) -> None:
         raise UsageError(f"{shown[0]} shows a single seed: leave it out, or --seeds")
 
 
-def run_seeds(task: str, options: "TrainOptions", count: int | None, quiet: bool) -> None:
+def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) -> None:
     """Train several seeds in this process, and print their scores.
 
     Args:
@@ -55,8 +55,6 @@ def run_seeds(task: str, options: "TrainOptions", count: int | None, quiet: bool
     Raises:
         UsageError: As `train_seeds`.
     """
-    from usarmjx.cli.train import plan_run, recorded_engine, stop_request
-
     recorded = options.resume and options.engine == "auto"
     engine = tried_on(options.engine)
     if recorded:

@@ -15,7 +15,7 @@ from tests.train.runs import CONFIG, check_goes_on, lines
 from tests.train.toys import DriveToy, MemoryToy
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.cli.train import TrainOptions, plan_run, recorded_engine
+from usarmjx.cli.train_plan import TrainOptions, plan_run, recorded_engine
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state, read_policy
 from usarmjx.train.learning.config import task_config

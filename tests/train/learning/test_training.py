@@ -15,6 +15,7 @@ from tests.listening import COMPILED, compilations
 from tests.train.runs import CONFIG, lines
 from tests.train.toys import DriveToy, EndlessToy, MemoryToy, small_config
 from usarmjx.base.errors import UsageError
+from usarmjx.train.learning import iterations as iterations_module
 from usarmjx.train.learning import trainer as trainer_module
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
@@ -142,7 +143,7 @@ def test_an_iteration_of_worlds_that_the_host_steps_has_its_own_time():
         )
         stop = StopRequest(print)
         return [
-            [one.number for one in ready] for ready in trainer_module._iterations(trainer, (0, 0, 0), stop)
+            [one.number for one in ready] for ready in iterations_module._iterations(trainer, (0, 0, 0), stop)
         ]
 
     assert read(traceable=False) == [[1], [2], [3], [4]]
@@ -162,7 +163,8 @@ def test_the_time_of_the_first_iteration_is_from_when_it_compiled(tmp_path, monk
         clock.now += 100.0
         yield
 
-    monkeypatch.setattr(trainer_module, "time", SimpleNamespace(perf_counter=tick))
+    for module in (trainer_module, iterations_module):
+        monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=tick))
     monkeypatch.setattr(trainer_module, "compiling", slow)
     config = small_config(total_steps=144, num_worlds=4, rollout_length=4)  # three iterations of 48
     told = []

@@ -238,7 +238,7 @@ def run_iterations(
         trainer: Rollouts and updates of all runs.
         outputs: What becomes of them.
         restored: Train state, rollout state and number of iterations behind them.
-        began: When the first iteration began to compile, by `time.perf_counter` [s].
+        began: When the first iteration began to compile, by the performance counter [s].
         stop: Ends the training early, with a checkpoint.
 
     Raises:

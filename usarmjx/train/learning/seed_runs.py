@@ -103,16 +103,18 @@ def train_seeds(  # noqa: PLR0913 - all but four may be left out
         began = time.perf_counter()
         with compiling(trainer):
             restored = _restore(trainer, checkpoints, source)
-        outputs = RunOutputs(
-            folders=[run.run for run in checkpoints.runs],
-            logs=[
-                MetricsLog(run.run, trainer.iterations, restored[2], bar=progress and number == 0)
-                for number, run in enumerate(checkpoints.runs)
-            ],
-            save=checkpoints.save,
-            watch=watch or ignore,
-        )
+        folders = [run.run for run in checkpoints.runs]
+        logs = _logs(folders, trainer.iterations, restored[2], progress)
+        outputs = RunOutputs(folders=folders, logs=logs, save=checkpoints.save, watch=watch or ignore)
         return run_iterations(trainer, outputs, restored, began, stop)
+
+
+def _logs(folders: list[Path], iterations: int, after: int, progress: bool) -> list[MetricsLog]:
+    """Return the log of each run; the first one shows all in the terminal, if progress is to be shown."""
+    return [
+        MetricsLog(folder, iterations, after, bar=progress and number == 0)
+        for number, folder in enumerate(folders)
+    ]
 
 
 def _checked(seeds: Sequence[int], config: Config) -> tuple[int, ...]:

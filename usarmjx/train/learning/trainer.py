@@ -131,18 +131,24 @@ def train(  # noqa: PLR0913 - all but three may be left out
         with compiling(trainer):
             train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
-        first = process_group.index == 0
-        logs = [MetricsLog(out, trainer.iterations, before, bar=progress)] if first else []
-
-        def save(iteration: int, train_state: TrainState, worlds: RolloutState, notes: Records) -> None:
-            checkpoints.save(iteration, train_state, worlds, notes[0])
-
-        def show(lines: Records) -> None:
-            if watch is not None:
-                watch(lines[0])
-
-        outputs = RunOutputs(folders=[out], logs=logs, save=save, watch=show)
+        logs = [MetricsLog(out, trainer.iterations, before, bar=progress)] if not process_group.index else []
+        outputs = _outputs(checkpoints, logs, watch)
         return run_iterations(trainer, outputs, (train_state, worlds, before), began, stop)[0]
+
+
+def _outputs(
+    checkpoints: Checkpoints, logs: list[MetricsLog], watch: Callable[[dict[str, Any]], None] | None
+) -> RunOutputs:
+    """Return the outputs of a run alone."""
+
+    def save(iteration: int, train_state: TrainState, worlds: RolloutState, notes: Records) -> None:
+        checkpoints.save(iteration, train_state, worlds, notes[0])
+
+    def show(lines: Records) -> None:
+        if watch is not None:
+            watch(lines[0])
+
+    return RunOutputs(folders=[checkpoints.run], logs=logs, save=save, watch=show)
 
 
 def _open_run(held: ExitStack, out: Path, process_group: ProcessGroup, resume: bool) -> None:
