@@ -9,7 +9,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jax.custom_batching import sequential_vmap
+from jax import custom_batching
 
 from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.compilation import unroll_on_gpu
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from brax.training.distribution import NormalTanhDistribution
 
 
+_one_by_one = cast(Any, custom_batching).sequential_vmap
+"""Function that is mapped over seeds in a loop; jax leaves its types open."""
 Residuals: TypeAlias = tuple[jax.Array, ...]
 """Arguments of `recur` and its result."""
 GPU_STEPS = 8
@@ -58,7 +60,7 @@ def _recur_sequentially(
     if _on_warp(gates, carry):
         from usarmjx.train.learning.warp_gru import recur_on_warp
 
-        return sequential_vmap(recur_on_warp)(gates, weights, bias, carry, is_first)
+        return _one_by_one(recur_on_warp)(gates, weights, bias, carry, is_first)
 
     def step(carry: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         gates, is_first = now
@@ -98,7 +100,7 @@ def _gradients_sequentially(
     if _on_warp(gradients, update):
         from usarmjx.train.learning.warp_gru import gradients_on_warp
 
-        return sequential_vmap(gradients_on_warp)(gradients, own, update, weights, is_first)
+        return _one_by_one(gradients_on_warp)(gradients, own, update, weights, is_first)
 
     def step(next_gradient: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         gradient, own, update, is_first = now
