@@ -271,7 +271,7 @@ def test_seeds_give_other_episodes_and_the_same_seed_the_same(env):
 def test_groups_of_worlds_begin_as_those_of_their_seeds_alone(env):
     """Each of three seeds has a world, which is the first one of an environment of that seed."""
     seeds = (4, 5, 4)
-    together = env.reset(jnp.array(seeds, jnp.uint32))
+    together = env.reset(jnp.stack([jax.random.key(seed) for seed in seeds]))
     for place, seed in enumerate(seeds):
         group, alone = (
             jax.tree.map(lambda leaf, row=row: leaf[row : row + 1], worldly(state).task_state)
@@ -280,7 +280,7 @@ def test_groups_of_worlds_begin_as_those_of_their_seeds_alone(env):
         same(group, alone, slice(None))
         assert together.batch.worlds.number[place] == 0
     with pytest.raises(UsageError, match=r"^3 worlds cannot be divided among 2 seeds$"):
-        env.reset(jnp.array([4, 5], jnp.uint32))
+        env.reset(jnp.stack([jax.random.key(seed) for seed in (4, 5)]))
 
 
 def test_nothing_is_compiled_after_the_first_restart(env):

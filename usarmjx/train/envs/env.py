@@ -420,9 +420,9 @@ class Env:
         """Return all worlds at the start of their first episode.
 
         Args:
-            seed: Seed of all random numbers; None: the environment's own. An array of seeds, or of their
-                keys, (groups,): the worlds are groups of equal size, each as an environment of that seed
-                alone has them.
+            seed: Seed of all random numbers; None: the environment's own. An array of random keys (groups,):
+                the worlds are groups of equal size, each as an environment of that key's seed alone has
+                them.
             level: Difficulty of the generated arenas in play, from 0 to 1; see `at_level`.
             mixed: Whether worlds go through generated arenas with one of each level in turn, until they are
                 replaced; else they meet all easy ones first.
