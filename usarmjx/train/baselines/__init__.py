@@ -11,6 +11,7 @@ from usarmjx.base.registry import Registry
 from usarmjx.train.baselines.climb import climb_policy
 from usarmjx.train.baselines.frontier import frontier_policy, relay_policy
 from usarmjx.train.baselines.goal import BugCarry, bug_action, bug_policy, initial_bug_carry
+from usarmjx.train.baselines.goals import reporting_policy, silent_policy
 from usarmjx.train.baselines.hover import inspection_policy
 from usarmjx.train.baselines.pursuit import pursuit_policy
 from usarmjx.train.baselines.roam import roam_policy
@@ -29,7 +30,9 @@ __all__ = [
     "inspection_policy",
     "pursuit_policy",
     "relay_policy",
+    "reporting_policy",
     "roam_policy",
+    "silent_policy",
     "soccer_policy",
 ]
 
@@ -40,6 +43,7 @@ BASELINES.add("wander", roam_policy)
 for version in ("", "-v1", "-v2"):
     BASELINES.add(f"explore{version}", frontier_policy)
     BASELINES.add(f"victim-search{version}", frontier_policy)
+BASELINES.add("explore-v3", reporting_policy)
 BASELINES.add("relay-chain", relay_policy)
 BASELINES.add("convoy", pursuit_policy)
 BASELINES.add("stairs", climb_policy)

@@ -105,15 +105,37 @@ def apply_policy_actions(
     alive: tuple[jax.Array, ...] | None = None,
 ) -> World:
     """Command the robots, from a policy's actions per group (robots, action_size)."""
-    clipped = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
-    clipped = masked(alive, clipped)
+    view = _view_at_action(scene, world, physics)
+    return apply_actions(scene, world, physics, task.act(view, memory, _bounded(actions, alive)))
+
+
+def decide(
+    scene: Scene,
+    task: Task,
+    world: World,
+    physics: PhysicsState,
+    memory: Memory,
+    actions: tuple[Array, ...],
+    alive: tuple[jax.Array, ...] | None = None,
+) -> Memory:
+    """Return the task's memory of what was decided, see `Task.decide`."""
+    return task.decide(_view_at_action(scene, world, physics), memory, _bounded(actions, alive))
+
+
+def _bounded(
+    actions: tuple[Array, ...], alive: tuple[jax.Array, ...] | None
+) -> tuple[jax.Array, ...]:
+    """Return finite actions from -1 to 1, 0 for agents that are not alive."""
+    return masked(alive, tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions))
+
+
+def _view_at_action(scene: Scene, world: World, physics: PhysicsState) -> TaskView:
     # Sensors are read once a step, at its end: actions are chosen and carried out on what was read then.
     last = tuple(
         tuple(Reading(value=value, fresh=jnp.zeros(state.active.shape, bool)) for value in state.memory.last)
         for state in world.groups
     )
-    view = TaskView(world=world, physics=physics, readings=last, scene=scene)
-    return apply_actions(scene, world, physics, task.act(view, memory, clipped))
+    return TaskView(world=world, physics=physics, readings=last, scene=scene)
 
 
 def evaluate_step(
@@ -317,6 +339,7 @@ class Env:
         self.renewable = self._generated is not None and self._generated.renewable
         self.first = first
         self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
+        self._decide = self._compile(jax.vmap(partial(decide, self.scene, task))) if task.decides else None
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
         self._regroup = self._compile(jax.vmap(partial(regroup, self.scene, task.shuffle)))
         self._blank = self._compile(self._blank_state)
@@ -398,7 +421,7 @@ class Env:
         ):
             group = scene.groups[number]
             names = tuple(scene.roster[int(slot)].name or f"{group.robot.name}{slot}" for slot in group.slots)
-            groups.append(AgentGroup(group.robot.name, names, obs.shape[-1], actions))
+            groups.append(AgentGroup(group.robot.name, names, obs.shape[-1], actions, task.discrete))
         return tuple(groups)
 
     def _library_at(self, library: ArenaState, level: jax.Array) -> ArenaState:
@@ -610,8 +633,19 @@ class Env:
 
     def commanded(self, state: EnvState, actions: tuple[Array, ...]) -> World:
         """Return the worlds as they are before the first control step of an action: with its commands."""
+        return self._commanded(self._decided(state, actions), actions)
+
+    def _commanded(self, state: EnvState, actions: tuple[Array, ...]) -> World:
         physics = self.batch.physics(state.batch)
         return self._act(state.batch.worlds, physics, state.memory, actions, state.alive)
+
+    def _decided(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
+        """Return the state with the task's memory of the actions, for tasks that decide."""
+        if self._decide is None:
+            return state
+        physics = self.batch.physics(state.batch)
+        memory = self._decide(state.batch.worlds, physics, state.memory, actions, state.alive)
+        return state.replace(memory=memory)
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         state = self._advance(state, actions)
@@ -620,7 +654,8 @@ class Env:
     def _advance(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
-        worlds = self.commanded(state, actions)
+        state = self._decided(state, actions)
+        worlds = self._commanded(state, actions)
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat, reset_bad=False)
         worlds, task, present = self._evaluate(
             state.task_state, batch.worlds, self.batch.physics(batch), before

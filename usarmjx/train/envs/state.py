@@ -23,12 +23,15 @@ class AgentGroup:
         agents: Names of the robots.
         obs_size: Numbers in an observation.
         action_size: Numbers in an action, each from -1 to 1.
+        discrete: Whether the greatest number of an action is a choice. The last numbers of an observation
+            then say which choices there are (1, else 0), as many as an action has.
     """
 
     name: str
     agents: tuple[str, ...]
     obs_size: int
     action_size: int
+    discrete: bool = False
 
 
 class TaskState(struct.PyTreeNode, kw_only=True):

@@ -200,6 +200,8 @@ class Task(ABC):
 
     about: ClassVar[str] = ""
     needs_solver: ClassVar[str] = ""
+    decides: ClassVar[bool] = False
+    """Whether the task remembers actions, see `decide`."""
 
     arena: Arenas = "floor"
     sensors: tuple[str | Mount, ...] | None = None
@@ -284,6 +286,19 @@ class Task(ABC):
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """Return the action size of each agent group; actions are numbers from -1 to 1."""
         return tuple(len(drive_keys(scene.groups[group].robot)) for group in self.agent_groups(scene))
+
+    @property
+    def discrete(self) -> bool:
+        """Whether actions are choices, see `AgentGroup.discrete`; by default they are not."""
+        return False
+
+    def decide(self, view: TaskView, memory: Memory, actions: tuple[jax.Array, ...]) -> Memory:
+        """Return the task's memory of actions, before `act`; by default nothing of them.
+
+        It is called if the class says that it `decides`. Arguments are those of `act`.
+        """
+        del view, actions
+        return memory
 
     def act(self, view: TaskView, memory: Memory, actions: tuple[jax.Array, ...]) -> Actions:
         """Return the commands of the robots until the next action.

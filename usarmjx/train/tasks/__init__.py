@@ -13,6 +13,7 @@ from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.convoy import Convoy
 from usarmjx.train.tasks.drive_to_goal import DriveToGoal
 from usarmjx.train.tasks.explore import Explore
+from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.hover_inspect import HoverInspect
 from usarmjx.train.tasks.relay_chain import RelayChain
 from usarmjx.train.tasks.soccer import Soccer
@@ -27,6 +28,7 @@ __all__ = [
     "Convoy",
     "DriveToGoal",
     "Explore",
+    "ExploreBase",
     "HoverInspect",
     "RelayChain",
     "Soccer",
@@ -40,8 +42,13 @@ __all__ = [
 BUILDINGS_V2 = Buildings(sizes=((16, 12), (20, 14), (24, 16)), together=True, renewable=True)
 SEARCHED_V2 = replace(BUILDINGS_V2, victims=6, reachable=1.0, near_victims=1)
 
+BUILDINGS_V3 = Buildings(
+    sizes=((12, 10), (20, 16), (32, 24)), together=True, renewable=True, spacing=2.4
+)
+
 TASKS.add("explore-v1", Explore())
 TASKS.add("explore-v2", Explore(arena=BUILDINGS_V2, episode_steps=400, haste=0.25))
+TASKS.add("explore-v3", ExploreBase(arena=BUILDINGS_V3))
 TASKS.add("victim-search-v1", VictimSearch())
 TASKS.add(
     "victim-search-v2",

@@ -42,6 +42,7 @@ class Buildings(GeneratedArenas):
             where it puts so few.
         together: Let robots start in the free cells nearest to the first start pose; else at those nearest to
             it of `starts` all over the arena.
+        spacing: Least distance of two start poses, as far as enough of them have it [m].
     """
 
     kind: str = "building"
@@ -56,6 +57,7 @@ class Buildings(GeneratedArenas):
     sizes: Annotated[tuple[tuple[int, int], ...], AT_LEAST_ONE] = ()
     near_victims: Annotated[int | None, NOT_NEGATIVE] = None
     together: bool = False
+    spacing: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def difficulty(self, level: float) -> Difficulty:
         """Return the difficulty of a level."""
@@ -78,7 +80,7 @@ class Buildings(GeneratedArenas):
         if self.near_victims is not None:
             count = len(arena.victims) if self.victims is None else self.victims
             arena = thin_victims(arena, count, self.near_victims, seed)
-        arena = sort_starts(arena)
+        arena = spread_starts(sort_starts(arena), self.spacing)
         return replace(arena, starts=arena.starts[: self.starts])
 
 
@@ -87,6 +89,22 @@ def sort_starts(arena: ArenaSpec) -> ArenaSpec:
     first = np.array(arena.starts[0].at[:2])
     away = [float(np.hypot(*(np.array(start.at[:2]) - first))) for start in arena.starts]
     return replace(arena, starts=tuple(arena.starts[int(i)] for i in np.argsort(away, kind="stable")))
+
+
+def spread_starts(arena: ArenaSpec, spacing: float) -> ArenaSpec:
+    """Return an arena with start poses in front that are at least so far from all before them [m].
+
+    The others follow. Both keep their order.
+    """
+    if spacing <= 0:
+        return arena
+    at = np.array([start.at[:2] for start in arena.starts])
+    kept: list[int] = []
+    for i, position in enumerate(at):
+        if all(np.hypot(*(at[j] - position)) >= spacing for j in kept):
+            kept.append(i)
+    order = [*kept, *(i for i in range(len(at)) if i not in set(kept))]
+    return replace(arena, starts=tuple(arena.starts[i] for i in order))
 
 
 def thin_victims(arena: ArenaSpec, count: int, near: int, seed: int) -> ArenaSpec:

@@ -1,0 +1,193 @@
+"""Observation of robots that choose goals, of one size for all teams, and planners that read it.
+
+The numbers, in the robot's axes (x ahead, y to the left):
+- the share of the time that is left, and the time left (1: 100 s); how far the robot has come lately (1:
+  0.5 m); whether it has a link to the base, and the time since its news last came there (1: 60 s); free
+  squares on its map that the base may not have (1: 1000), and all of them (1: 5000); how many of the others it
+  has heard of lately (1: 16);
+- the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
+- for each of the 4 nearest others that it has heard of lately: whether there is one; where it said to be and
+  where it said to go (x, y each; 1: 12 m); the age of that (1: 40 s), whether there is a link now, and the time
+  since its news last came to the base (1: 60 s);
+- for each of 15 goals, the base, two others and 12 frontiers: position (x, y; 1: 12 m), length of the way (1:
+  100 squares), share of unknown squares around it, distance from the base (1: 30 m), distance of the nearest
+  other, and of the nearest goal of others of lower slots (1: 12 m), how many others are nearer to it (1: 4),
+  whether the robot has been there, and whether it goes there;
+- for each goal, whether it is valid.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.train.mapping.belief import SCANNER_RANGE, SECTOR_COUNT, Belief
+from usarmjx.train.mapping.goals import Goals
+from usarmjx.train.mapping.maps import FREE, MapGrid
+
+MATES, FRONTIERS, OBSERVED_MATES = 2, 12, 4
+"""Other robots and frontiers among the goals, and other robots that are observed."""
+GOALS = 1 + MATES + FRONTIERS
+"""Goals of a robot."""
+MATE_AGE = 40.0
+"""After so long without a message another robot is no goal any more [s]."""
+OWN_NUMBERS, MATE_NUMBERS, GOAL_NUMBERS = 8, 8, 10
+FIRST_MATE = OWN_NUMBERS + SECTOR_COUNT
+FIRST_GOAL = FIRST_MATE + OBSERVED_MATES * MATE_NUMBERS
+FIRST_MASK = FIRST_GOAL + GOALS * GOAL_NUMBERS
+OBSERVATION_SIZE = FIRST_MASK + GOALS
+TIME_SCALE, CONTACT_SCALE, NEWS_SCALE, KNOWN_SCALE, TEAM_SCALE = 100.0, 60.0, 1000.0, 5000.0, 16.0
+NEAR_SCALE, FAR_SCALE, LENGTH_SCALE, LONGEST_SEEN = 12.0, 30.0, 100.0, 5.0
+NOWHERE = 1e3
+"""Distance of robots that a robot has not heard of [m]."""
+
+
+class Mates(NamedTuple):
+    """Other robots that robots have heard of, the nearest first.
+
+    Attributes:
+        slot: Their slots (robots, mates).
+        valid: Whether there is one (robots, mates).
+    """
+
+    slot: jax.Array
+    valid: jax.Array
+
+
+def heard_of(belief: Belief, base: int, time: Array) -> jax.Array:
+    """Return which other robots each robot has heard of lately, the base excepted (robots, robots)."""
+    robots = len(belief.pose)
+    there = ~np.eye(robots, dtype=bool) & (np.arange(robots) != base)
+    return (time - belief.heard_time < MATE_AGE) & there
+
+
+def nearest_mates(belief: Belief, base: int, time: Array, count: int) -> Mates:
+    """Return the nearest of the robots that each robot has heard of lately."""
+    robots = len(belief.pose)
+    away = jnp.linalg.norm(belief.mate_headers[..., :2] - belief.pose[:, None, :2], axis=-1)
+    away = jnp.where(heard_of(belief, base, time), away, jnp.inf)
+    away = jnp.concatenate([away, jnp.full((robots, count), jnp.inf)], -1)
+    gap, slot = jax.lax.top_k(-away, count)
+    return Mates(jnp.minimum(slot, robots - 1), jnp.isfinite(gap))
+
+
+def ahead_and_left(pose: jax.Array, position: jax.Array) -> jax.Array:
+    """Return positions [m] (robots, n, 2) in the axes of robots at poses (robots, 3)."""
+    away = position - pose[:, None, :2]
+    cos, sin = jnp.cos(pose[:, 2])[:, None], jnp.sin(pose[:, 2])[:, None]
+    return jnp.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], -1)
+
+
+def sector_features(belief: Belief) -> jax.Array:
+    """Return the shortest beams of sectors, as observed (robots, SECTOR_COUNT)."""
+    return jnp.minimum(belief.sector_ranges / SCANNER_RANGE, 1.0)
+
+
+def mate_features(belief: Belief, base: int, time: Array, linked: Array) -> jax.Array:
+    """Return what robots observe of others (robots, OBSERVED_MATES * MATE_NUMBERS).
+
+    Args:
+        belief: Their beliefs.
+        base: Slot of the base.
+        time: The time [s] ().
+        linked: Which links there are (robots, robots).
+    """
+    robots, mates = len(belief.pose), nearest_mates(belief, base, time, OBSERVED_MATES)
+    rows = np.arange(robots)[:, None]
+    heads = belief.mate_headers[rows, mates.slot]
+    age = (time - belief.heard_time[rows, mates.slot]) / MATE_AGE
+    contact = jnp.minimum((time - heads[..., 5]) / CONTACT_SCALE, 1.0)
+    facts = [
+        jnp.ones((robots, OBSERVED_MATES, 1)),
+        ahead_and_left(belief.pose, heads[..., :2]) / NEAR_SCALE,
+        ahead_and_left(belief.pose, heads[..., 3:5]) / NEAR_SCALE,
+        jnp.stack([age, jnp.asarray(linked)[rows, mates.slot], contact], -1),
+    ]
+    seen = jnp.where(mates.valid[..., None], jnp.concatenate(facts, -1), 0.0)
+    return seen.reshape(robots, -1)
+
+
+def goal_features(
+    grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, base: int, time: Array
+) -> jax.Array:
+    """Return what robots observe of their goals (robots, GOALS * GOAL_NUMBERS).
+
+    Args:
+        grid: The squares.
+        belief: Their beliefs.
+        goals: Their goals (robots, GOALS, ...).
+        chosen: Where they go (robots,).
+        base: Slot of the base.
+        time: The time [s] ().
+    """
+    robots, known = len(belief.pose), heard_of(belief, base, time)
+    there = ahead_and_left(belief.pose, goals.position)
+    mine = jnp.linalg.norm(there, axis=-1)
+
+    def gaps(places: jax.Array, which: jax.Array) -> jax.Array:
+        away = jnp.linalg.norm(goals.position[:, :, None] - places[:, None], axis=-1)
+        return jnp.where(which[:, None], away, NOWHERE)
+
+    theirs = gaps(belief.mate_headers[..., :2], known)
+    lower = np.arange(robots) < np.arange(robots)[:, None]
+    taken = gaps(belief.mate_headers[..., 3:5], known & lower).min(-1)
+    square = grid.index(goals.position)
+    been = belief.visited[np.arange(robots)[:, None], square[..., 0], square[..., 1]]
+    facts = [
+        there / NEAR_SCALE,
+        jnp.minimum(goals.length / LENGTH_SCALE, LONGEST_SEEN)[..., None],
+        goals.gain[..., None],
+        (jnp.linalg.norm(goals.position - belief.pose[base, :2], axis=-1) / FAR_SCALE)[..., None],
+        jnp.minimum(jnp.stack([theirs.min(-1), taken], -1) / NEAR_SCALE, 1.0),
+        ((theirs < mine[..., None]).sum(-1) / 4.0)[..., None],
+        been[..., None],
+        jnp.eye(GOALS)[chosen][..., None],
+    ]
+    return jnp.where(goals.valid[..., None], jnp.concatenate(facts, -1), 0.0).reshape(robots, -1)
+
+
+# Planners over these observations.
+
+NEARER_COST, TAKEN_COST, TAKEN_RADIUS, VISITED_COST, TURN_COST = 6.0, 20.0, 3.0, 30.0, 3.0
+"""Additions to the way to a frontier: for each other robot that is nearer, where another one goes, where the
+robot has been, and right behind it [squares]; radius within which others count as going there [m]."""
+GAIN_WORTH, KEEP_WORTH = 10.0, 4.0
+"""Way that a frontier is worth where all around is unknown, and where the robot goes already [squares]."""
+HOME_SPEED, HOME_MARGIN = 0.3, 8.0
+"""Speed at which robots plan to be home in time [m/s], with so much time to spare [s]."""
+LITTLE_NEWS, MUCH_NEWS = 30.0, 900.0
+"""News that are not worth a way home, and news that are at any time [squares]."""
+
+
+def chosen_goal(seen: Array, square: float, *, report: bool) -> jax.Array:
+    """Return the goals that a planner chooses (...,).
+
+    It takes the nearest frontier, all costs counted. One that reports goes home with much news, and with any
+    when the time that is left is just enough for the way.
+
+    Args:
+        seen: Observations (..., OBSERVATION_SIZE).
+        square: Side of a map's squares [m].
+        report: Whether it goes home.
+    """
+    seen = jnp.asarray(seen)
+    goals = seen[..., FIRST_GOAL:FIRST_MASK].reshape(*seen.shape[:-1], GOALS, GOAL_NUMBERS)
+    valid = seen[..., FIRST_MASK : FIRST_MASK + GOALS] > 0.5
+    ahead, left = goals[..., 0], goals[..., 1]
+    turn = 1 - ahead / jnp.maximum(jnp.hypot(ahead, left), 1e-3)
+    cost = LENGTH_SCALE * goals[..., 2] - GAIN_WORTH * goals[..., 3] - KEEP_WORTH * goals[..., 9]
+    cost += NEARER_COST * 4.0 * goals[..., 7] + VISITED_COST * goals[..., 8] + TURN_COST * turn / 2
+    cost += TAKEN_COST * jnp.clip(1 - goals[..., 6] * NEAR_SCALE / TAKEN_RADIUS, 0.0, 1.0)
+    is_frontier = np.arange(GOALS) >= 1 + MATES
+    cost = jnp.where(valid & is_frontier, cost, jnp.inf)
+    best = jnp.where(jnp.isfinite(cost).any(-1), cost.argmin(-1), 0)
+    if not report:
+        return best
+    news, seconds = NEWS_SCALE * seen[..., 5], TIME_SCALE * seen[..., 1]
+    way = LENGTH_SCALE * goals[..., 0, 2] * square
+    late = seconds < way / HOME_SPEED + HOME_MARGIN
+    going = goals[..., 0, 9] > 0.5
+    home = (news > MUCH_NEWS) | ((late | going) & (news > LITTLE_NEWS))
+    return jnp.where(home, 0, best)
