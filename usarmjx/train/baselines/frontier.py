@@ -9,6 +9,7 @@ from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.way_driving import frontier_action
 
+
 def frontier_policy(env: Env) -> Policy:
     """Return the policy for an environment of a team task; its carry is empty.
 

@@ -122,9 +122,7 @@ def decide(
     return task.decide(_view_at_action(scene, world, physics), memory, _bounded(actions, alive))
 
 
-def _bounded(
-    actions: tuple[Array, ...], alive: tuple[jax.Array, ...] | None
-) -> tuple[jax.Array, ...]:
+def _bounded(actions: tuple[Array, ...], alive: tuple[jax.Array, ...] | None) -> tuple[jax.Array, ...]:
     """Return finite actions from -1 to 1, 0 for agents that are not alive."""
     return masked(alive, tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions))
 

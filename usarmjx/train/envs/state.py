@@ -33,6 +33,11 @@ class AgentGroup:
     action_size: int
     discrete: bool = False
 
+    @property
+    def outputs(self) -> int:
+        """Parameters of the distribution of an action."""
+        return self.action_size if self.discrete else 2 * self.action_size
+
 
 class TaskState(struct.PyTreeNode, kw_only=True):
     """State of a task in a batch of worlds: all of an `EnvState` but the worlds.

@@ -41,6 +41,11 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
         for old in ("", "-v1")
     },
     "explore-v2": {**MAZE_SETTINGS, **SHORT_HORIZON, "imitation_steps": 5_000_000, "total_steps": 24_000_000},
+    "explore-v3": {
+        **{"gamma": 0.99, "gae_lambda": 0.95, "action_repeat": 8, "rollout_length": 25},
+        **{"entropy_coef": 0.01, "hidden_sizes": (256, 128), "critic_hidden_sizes": (256, 128)},
+        **{"imitation_steps": 1_000_000, "total_steps": 40_000_000},
+    },
     "victim-search-v2": {
         **MAZE_SETTINGS,
         **{"gamma": 0.99, "gae_lambda": 0.95, "gru_size": 64},
@@ -74,9 +79,10 @@ GPU_SETTINGS: dict[str, dict[str, Any]] = {
     **{
         task: {"num_worlds": 2048, "num_minibatches": 16}
         for task in HYPERPARAMETERS
-        if task != "drive-to-goal" and not task.startswith("victim-search")
+        if task not in ("drive-to-goal", "explore-v3") and not task.startswith("victim-search")
     },
 }
+GPU_SETTINGS["explore-v3"] = {"num_worlds": 1024, "num_minibatches": 16}
 for task in ("hover-inspect", "wander"):
     GPU_SETTINGS[task] |= {"total_steps": 10_000_000, "imitation_steps": 1_000_000, "learning_rate": 3e-4}
 GPU_SETTINGS["stairs"] |= {"total_steps": 1_000_000, "imitation_steps": 1_000_000}
@@ -87,7 +93,7 @@ GPU_SETTINGS[
 DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
     (
         "drive-to-goal",
-        *("explore", "explore-v1", "explore-v2"),
+        *("explore", "explore-v1", "explore-v2", "explore-v3"),
         *("victim-search", "victim-search-v1", "victim-search-v2"),
         "relay-chain",
         "convoy",
@@ -99,7 +105,7 @@ DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
 """Engine that `auto` stands for in training, on any machine; scores are those of C MuJoCo."""
 DEFAULT_PHYSICS: dict[str, str] = dict.fromkeys(
     (
-        *("explore", "explore-v1", "explore-v2"),
+        *("explore", "explore-v1", "explore-v2", "explore-v3"),
         *("victim-search", "victim-search-v1", "victim-search-v2"),
         "relay-chain",
     ),
@@ -155,6 +161,7 @@ class Config:
         total_steps: Agent steps in all: robots times worlds times actions. The last iteration is a whole one.
         num_worlds: Worlds in all, of all processes.
         seed: Seed of all random numbers.
+        action_repeat: Steps of the worlds for which an action is kept; an agent step is all of them.
         rollout_length: Actions of every robot between two updates.
         num_epochs: Passes of an update through a rollout.
         num_minibatches: Parts that an epoch is divided into, by worlds.
@@ -197,6 +204,7 @@ class Config:
     total_steps: Annotated[int, Setting(ge=1, aliases=("steps",))] = 1_000_000
     num_worlds: Annotated[int, Setting(ge=1, aliases=("worlds",))] = 64
     seed: int = 0
+    action_repeat: Annotated[int, Setting(ge=1)] = 1
     rollout_length: Annotated[int, Setting(ge=1, aliases=("rollout",))] = 32
     num_epochs: Annotated[int, Setting(ge=1, aliases=("epochs",))] = 4
     num_minibatches: Annotated[int, Setting(ge=1, aliases=("minibatches",))] = 4
@@ -242,6 +250,10 @@ class Config:
         """Return the fault of settings that do not go together, in words; empty: there is none."""
         if self.num_worlds % self.num_minibatches:
             return f"{self.num_worlds} worlds cannot be divided into {self.num_minibatches} minibatches"
+        if self.gru_size and self.action_repeat > 1:
+            return (
+                f"gru_size is {self.gru_size}, but a memory needs action_repeat 1, not {self.action_repeat}"
+            )
         return ""
 
     @property

@@ -17,9 +17,10 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import Memory
 from usarmjx.train.envs.task import Carry, ObservationArrays, Policy, Task
+from usarmjx.train.learning.choices import ChoiceDistribution
 
 if TYPE_CHECKING:
-    from brax.training.distribution import NormalTanhDistribution
+    from usarmjx.train.learning.networks import Distribution
 
 
 def teacher_of(env: Env) -> Policy:
@@ -63,7 +64,7 @@ def reset_carry(teacher: Policy, carry: Carry, done: jax.Array) -> Carry:
 
 
 def imitation_loss(
-    kind: "NormalTanhDistribution", logits: jax.Array, teacher_action: jax.Array, deviation: float
+    kind: "Distribution", logits: jax.Array, teacher_action: jax.Array, deviation: float
 ) -> jax.Array:
     """Return the imitation loss: distance of modes from the teacher's actions, and of deviations.
 
@@ -74,8 +75,10 @@ def imitation_loss(
         deviation: Target deviation of actions before they are squashed, see `Config.imitation_std`.
 
     Returns:
-        Half the sum of the squares of both (...).
+        Half the sum of the squares of both; of choices, minus the logarithm of the teacher's probability (...).
     """
+    if isinstance(kind, ChoiceDistribution):
+        return -kind.log_prob(logits, teacher_action)
     error = kind.mode(logits) - jnp.clip(teacher_action, -1.0, 1.0)
     std_error = kind.create_dist(logits).scale - deviation
     return 0.5 * (error**2 + std_error**2).sum(-1)

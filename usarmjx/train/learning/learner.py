@@ -193,7 +193,8 @@ class Trainer:
         begun = worlds.env_state
         worlds, trajectory, ends, sums = self.rollout.collect(train_state, worlds, key)
         if self.inspect is not None:
-            self.inspect(inputs_of(self.networks.policy, iteration + 1, begun, trajectory))
+            repeat = self.config.action_repeat
+            self.inspect(inputs_of(self.networks.policy, iteration + 1, begun, trajectory, repeat))
         to_global = self.process_group.to_global
         experience = (to_global(trajectory, 1), to_global(ends, 0), to_global(self._sums(sums), 0))
         train_state, known = self.process_group.to_local(

@@ -16,6 +16,7 @@ from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.task import Policy
+from usarmjx.train.learning.choices import ChoiceDistribution, mask_logits
 from usarmjx.train.learning.statistics import normalise
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 _one_by_one = cast(Any, custom_batching).sequential_vmap
 """Function that is mapped over seeds in a loop; jax leaves its types open."""
+Distribution: TypeAlias = "NormalTanhDistribution | ChoiceDistribution"
+"""Family of distributions of actions."""
 Residuals: TypeAlias = tuple[jax.Array, ...]
 """Arguments of `recur` and its result."""
 GPU_STEPS = 8
@@ -267,11 +270,13 @@ class LearnedPolicy:
 
     def network(self, group: int) -> Network:
         """Return the network of a group."""
-        outputs = 2 * self.groups[group].action_size
+        outputs = self.groups[group].outputs
         return Network(self.layers, self.memory, outputs, scale=POLICY_HEAD_SCALE)
 
-    def distribution(self, group: int) -> "NormalTanhDistribution":
+    def distribution(self, group: int) -> "Distribution":
         """Return the family of distributions that a group's actions are drawn from."""
+        if self.groups[group].discrete:
+            return ChoiceDistribution(self.groups[group].action_size)
         with extra("train"):
             from brax.training.distribution import NormalTanhDistribution
         return NormalTanhDistribution(self.groups[group].action_size, min_std=MIN_STD)
@@ -300,14 +305,18 @@ class LearnedPolicy:
     def distribution_params(
         self, params: PolicyParams, obs: Sequence[jax.Array], carry: Sequence[jax.Array]
     ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-        """Return parameters of the actions' distributions (worlds, robots, 2 action_size), and the carry."""
+        """Return parameters of the actions' distributions (worlds, robots, outputs), and the carry."""
         found: list[tuple[jax.Array, jax.Array]] = []
         for g, seen in enumerate(obs):
             x = normalise(params.mean[g], params.std[g], seen)[None]
             is_first = jnp.zeros((1, len(seen)), bool)
             out, after = apply_network(self.network(g), params.weights[g], x, None, carry[g], is_first)
-            found.append((out[0], after))
+            found.append((self.masked(g, out[0], seen), after))
         return tuple(out for out, _ in found), tuple(after for _, after in found)
+
+    def masked(self, group: int, logits: jax.Array, seen: jax.Array) -> jax.Array:
+        """Return a group's parameters (..., outputs) as its observations (..., obs_size) allow."""
+        return mask_logits(logits, seen) if self.groups[group].discrete else logits
 
     def act(
         self,
@@ -336,11 +345,17 @@ class LearnedPolicy:
             raise UsageError("actions are drawn with a key: give one, or ask for deterministic ones")
         logits, carry = self.distribution_params(params, obs, carry)
         if key is None or deterministic:
-            return tuple(map(mode_action, logits)), carry
+            return tuple(self.mode(g, one) for g, one in enumerate(logits)), carry
         kinds = [self.distribution(g) for g in range(len(self.groups))]
         keys = fold_each(key, jnp.arange(len(obs[0])))
         raw = sample_actions(self, logits, keys)
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), carry
+
+    def mode(self, group: int, logits: jax.Array) -> jax.Array:
+        """Return the most probable actions of a group, of their distributions' parameters."""
+        if self.groups[group].discrete:
+            return ChoiceDistribution(self.groups[group].action_size).mode(logits)
+        return mode_action(logits)
 
     def as_policy(self, params: PolicyParams, deterministic: bool = True) -> Policy:
         """Return the policy with its parameters, as evaluation and adapters want it."""

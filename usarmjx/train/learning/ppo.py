@@ -179,6 +179,7 @@ def loss(
         logits, _ = apply_network(
             networks.policy.network(g), policies[g], obs, None, ends.policy_carry[g], starts[g]
         )
+        logits = networks.policy.masked(g, logits, steps.obs[g])
         kind = networks.policy.distribution(g)
         log_prob = kind.log_prob(logits, raw)
         # Entropy of a squashed action has no closed form: it is estimated from one drawn per step.

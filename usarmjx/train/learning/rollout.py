@@ -52,6 +52,17 @@ def _sum_worlds(rows: dict[str, jax.Array]) -> dict[str, jax.Array]:
     return dict(zip(rows, jnp.stack(single).sum(1), strict=True))
 
 
+HELD_FIELDS = (
+    *("reward", "done", "truncated", "final_obs", "final_privileged", "final_alive", "final_score"),
+    *("bad", "metrics"),
+)
+"""Results of a step that a world keeps until the action ends, once its episode has ended."""
+
+
+def _where_open(open_: jax.Array, going: jax.Array, ended: jax.Array) -> jax.Array:
+    return jnp.where(open_.reshape(-1, *[1] * (going.ndim - 1)), going, ended)
+
+
 def _no_watcher(state: EnvState) -> None:
     """Ignore the state: the default without a watcher."""
     del state
@@ -154,7 +165,8 @@ class Rollout:
         keys = fold_each(key, number)
 
         def draw(key: jax.Array) -> jax.Array:
-            return jax.random.randint(key, (), 0, self.env.episode_steps)
+            start = jax.random.randint(key, (), 0, self.env.episode_steps)
+            return start - start % self.config.action_repeat
 
         offset = jax.vmap(draw)(keys)
         return number, offset, self.networks.policy.initial_carry(self.worlds)
@@ -316,7 +328,7 @@ class Rollout:
         carry = (state.policy_carry, state.critic_carry, state.teacher_carry)
         memory = () if self.teacher is None else state.env_state.memory
         actions, decision = self._decide(train_state, before, carry, state.world_index, (key, step), memory)
-        env = self.env.step(state.env_state, actions)
+        env = self._held(state.env_state, actions)
         row, (policy, critic, teacher), episode_return, sums = self._account(
             train_state, (state.episode_return, state.is_first), decision, before, step_view(env)
         )
@@ -329,6 +341,32 @@ class Rollout:
             is_first=row.done,
         )
         return state, (row, sums)
+
+    def _held(self, before: EnvState, actions: GroupArrays) -> EnvState:
+        """Return the worlds after `action_repeat` steps with the same actions, with the rewards of all.
+
+        An episode that ends within them ends the action; what follows of the next one is not rewarded.
+        """
+        after = self.env.step(before, actions)
+
+        def again(_: Any, now: EnvState) -> EnvState:  # noqa: ANN401 - a number
+            then = self.env.step(now, actions)
+            sums = tuple(a + b for a, b in zip(now.reward, then.reward, strict=True))
+            going = then.replace(reward=sums)
+            kept = {
+                name: jax.tree.map(partial(_where_open, ~now.done), getattr(going, name), getattr(now, name))
+                for name in HELD_FIELDS
+            }
+            return then.replace(**kept)
+
+        repeats = self.config.action_repeat - 1
+        if not repeats:
+            return after
+        if self.env.traceable:
+            return jax.lax.fori_loop(0, repeats, again, after)
+        for number in range(repeats):
+            after = again(number, after)
+        return after
 
     def _scan(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         names: list[str] = []

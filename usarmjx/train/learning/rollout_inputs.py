@@ -47,7 +47,7 @@ Inspector: TypeAlias = Callable[[RolloutInputs], None]
 
 
 def inputs_of(
-    policy: LearnedPolicy, iteration: int, env_state: EnvState, trajectory: Trajectory
+    policy: LearnedPolicy, iteration: int, env_state: EnvState, trajectory: Trajectory, repeat: int = 1
 ) -> RolloutInputs:
     """Return the inputs of a rollout.
 
@@ -56,15 +56,23 @@ def inputs_of(
         iteration: Number of the iteration, from 1.
         env_state: The worlds before the rollout.
         trajectory: Its steps.
+        repeat: Steps of the worlds in each of them; what happened counts as in the last.
     """
     raw = trajectory.raw_action
+
+    def spread(values: jax.Array) -> jax.Array:
+        late = jnp.arange(len(values) * repeat) % repeat == repeat - 1
+        return jnp.where(late[:, None], jnp.repeat(values, repeat, 0), jnp.zeros((), values.dtype))
+
     return RolloutInputs(
         iteration=iteration,
         env_state=env_state,
-        actions=tuple(policy.distribution(g).postprocess(one) for g, one in enumerate(raw)),
-        reward=jnp.concatenate(trajectory.reward, -1).mean(-1),
-        done=trajectory.done,
-        bad=trajectory.bad,
+        actions=tuple(
+            jnp.repeat(policy.distribution(g).postprocess(one), repeat, 0) for g, one in enumerate(raw)
+        ),
+        reward=spread(jnp.concatenate(trajectory.reward, -1).mean(-1)),
+        done=spread(trajectory.done),
+        bad=spread(trajectory.bad),
     )
 
 

@@ -113,7 +113,9 @@ def make_record(
         task=env.name,
         engine=origin.engine,
         overrides=origin.overrides,
-        groups=tuple(AgentGroup(g.name, tuple(g.agents), g.obs_size, g.action_size) for g in env.groups),
+        groups=tuple(
+            AgentGroup(g.name, tuple(g.agents), g.obs_size, g.action_size, g.discrete) for g in env.groups
+        ),
         privileged_size=env.privileged_size,
         episode_steps=env.episode_steps,
         period=env.period,

@@ -9,6 +9,8 @@ import numpy as np
 from usarmjx.base.errors import extra
 from usarmjx.base.files import atomic_write
 
+from usarmjx.train.policies.policy_file import INVALID
+
 if TYPE_CHECKING:
     from usarmjx.train.policies.policy_file import NumpyPolicy
 
@@ -71,6 +73,12 @@ def _add_memory(graph: _Graph, weights: Any, x: str, carry: str) -> str:  # noqa
     return graph.add("Add", graph.add("Mul", graph.add("Sub", graph.constant(1.0), update), new), kept)
 
 
+def _last(graph: _Graph, seen: str, width: int, count: int) -> str:
+    """Return the last of some numbers."""
+    bounds = graph.add("Constant", value_ints=[width - count]), graph.add("Constant", value_ints=[width])
+    return graph.add("Slice", seen, *bounds, graph.add("Constant", value_ints=[-1]))
+
+
 def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
     """Add the network of a group: its most probable actions from its observations."""
     group, weights = policy.groups[index], policy.weights[index]
@@ -87,6 +95,11 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
         graph.inputs.append((f"{name}.carry", policy.memory))
         x = _add_memory(graph, weights, x, f"{name}.carry")
         graph.result(f"{name}.next_carry", policy.memory, x)
+    if group.get("discrete"):
+        there = graph.add("Greater", _last(graph, seen, width, group["action_size"]), graph.constant(0.5))
+        x = graph.add("Where", there, graph.dense(weights["head"], x), graph.constant(INVALID))
+        graph.result(f"{name}.action", group["action_size"], graph.add("Hardmax", x, axis=-1))
+        return
     means, _ = graph.add("Split", graph.dense(weights["head"], x), outputs=2, axis=-1)
     graph.result(f"{name}.action", group["action_size"], graph.add("Tanh", means))
 

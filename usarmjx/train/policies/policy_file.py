@@ -19,6 +19,7 @@ from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.base.settings.json_file import parse_json
 
 if TYPE_CHECKING:
+    from usarmjx.train.envs.state import AgentGroup
     from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
     from usarmjx.train.learning.run_record import RunRecord
 
@@ -70,7 +71,7 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
     _check_texts("overrides", [*about["overrides"], *about["overrides"].values()])
     for group in about["groups"]:
         _check("group", group, dict, group)
-        if group.keys() != {"name", "agents", "obs_size", "action_size"}:
+        if group.keys() - {"discrete"} != {"name", "agents", "obs_size", "action_size"}:
             raise ValueError(
                 f"a group has {', '.join(sorted(group))[:100]}, expected name, agents, obs_size, action_size"
             )
@@ -79,6 +80,8 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
         _check_texts("agents", group["agents"])
         _check_whole("obs_size", group)
         _check_whole("action_size", group)
+        if not isinstance(group.get("discrete", False), bool):
+            raise ValueError("its discrete is true or false")
 
 
 def _check(key: str, held: Mapping[str, Any], kind: Any, value: Any = None) -> None:  # noqa: ANN401
@@ -118,7 +121,7 @@ def check_shapes(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
             wanted |= {f"{start}gates/kernel": (width, 3 * memory), f"{start}gates/bias": (3 * memory,)}
             wanted |= {f"{start}recurrent": (memory, 3 * memory), f"{start}recurrent_bias": (memory,)}
             width = memory
-        out = 2 * group["action_size"]
+        out = group["action_size"] * (1 if group.get("discrete") else 2)
         wanted |= {f"{start}head/kernel": (width, out), f"{start}head/bias": (out,)}
         for name, shape in wanted.items():
             if arrays[name].shape != shape:
@@ -132,6 +135,7 @@ def check_shapes(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
 
 MAX_NORMALISED = 10.0  # as in `statistics`
 MIN_STD = 0.01  # as in `networks`
+INVALID = -1e9  # as in `choices`
 
 Vector = np.ndarray
 ParamTree = Mapping[str, Any]
@@ -249,11 +253,22 @@ class NumpyPolicy:
             raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
         seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED)
         logits, carry = forward(self.weights[group], self.layers, seen, carry)
+        if self.groups[group].get("discrete"):
+            return _choice(logits, obs, draw), carry
         loc, scale = np.split(logits, 2, axis=-1)
         if draw is not None:
             deviation = np.logaddexp(scale, 0.0) + MIN_STD
             loc = loc + deviation * draw.standard_normal(loc.shape, np.float32)
         return np.tanh(loc), carry
+
+
+def _choice(logits: Vector, obs: Vector, draw: np.random.Generator | None) -> Vector:
+    """Return 1 at the choice and 0 elsewhere (..., choices), of those that observations say are there."""
+    there = obs[..., -logits.shape[-1] :] > 0.5
+    if draw is not None:  # the greatest of these is a sample (Gumbel's)
+        logits = logits + draw.gumbel(size=logits.shape)
+    best = np.where(there, logits, INVALID).argmax(-1)
+    return np.eye(logits.shape[-1], dtype=np.float32)[best]
 
 
 def _tree(arrays: Mapping[str, Vector], start: str) -> dict[str, Any]:
@@ -303,7 +318,7 @@ def save_policy(
         "task": record.task,
         "overrides": record.overrides,
         "period": record.period,
-        "groups": [vars(group) for group in policy.groups],
+        "groups": [group_record(group) for group in policy.groups],
         "layers": len(policy.layers),
         "memory": policy.memory,
     }
@@ -312,6 +327,11 @@ def save_policy(
         arrays[f"mean/{g}"], arrays[f"std/{g}"] = np.asarray(params.mean[g]), np.asarray(params.std[g])
         arrays |= _flat(params.weights[g]["params"], f"weights/{g}/")
     write_arrays(file, arrays, half)
+
+
+def group_record(group: "AgentGroup") -> dict[str, Any]:
+    """Return what a file has of a group: `discrete` only where it is so, as older readers know none."""
+    return {name: value for name, value in vars(group).items() if name != "discrete" or value}
 
 
 def write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) -> None:

@@ -42,9 +42,7 @@ __all__ = [
 BUILDINGS_V2 = Buildings(sizes=((16, 12), (20, 14), (24, 16)), together=True, renewable=True)
 SEARCHED_V2 = replace(BUILDINGS_V2, victims=6, reachable=1.0, near_victims=1)
 
-BUILDINGS_V3 = Buildings(
-    sizes=((12, 10), (20, 16), (32, 24)), together=True, renewable=True, spacing=2.4
-)
+BUILDINGS_V3 = Buildings(sizes=((12, 10), (20, 16), (32, 24)), together=True, renewable=True, spacing=2.4)
 
 TASKS.add("explore-v1", Explore())
 TASKS.add("explore-v2", Explore(arena=BUILDINGS_V2, episode_steps=400, haste=0.25))

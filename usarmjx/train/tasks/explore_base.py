@@ -243,9 +243,7 @@ class ExploreBase(TeamTask):
         truth = jnp.where(known.reachable, FREE, WALL).astype(jnp.uint8)
         return jnp.broadcast_to(truth, known.squares.shape)
 
-    def decide(
-        self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]
-    ) -> TeamMemory:
+    def decide(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> TeamMemory:
         """Take the robots' choices when these are due, and find ways there."""
         extra, scene = memory.extra, view.scene
         due = memory.step % self.hold == 0
@@ -255,7 +253,9 @@ class ExploreBase(TeamTask):
                 wanted = wanted.at[scene.groups[group].slots].set(action)
             choice = jnp.where(extra.goals.valid, wanted, -jnp.inf).argmax(-1)
         else:
-            choice = chosen_goal(self.observations(view, memory)[:, -OBSERVATION_SIZE:], self.cell, report=True)
+            choice = chosen_goal(
+                self.observations(view, memory)[:, -OBSERVATION_SIZE:], self.cell, report=True
+            )
         chosen = jnp.where(due, choice, extra.chosen).astype(jnp.int32)
         goal = _picked(extra.goals.position, chosen)
         way = where_due(partial(self.ways, scene), due, extra.way, self.known(view, memory), goal)
@@ -338,9 +338,7 @@ class ExploreBase(TeamTask):
         gain = 100.0 * worth * (mapped.sum() - before.mapped.sum()) / squares
         contacts = self.price * begun
         score = memory.score + jnp.where(memory.step == memory.skipped + 1, first, 0.0)
-        memory = memory.replace(
-            extra=memory.extra.replace(goals=goals), score=score + gain - contacts.sum()
-        )
+        memory = memory.replace(extra=memory.extra.replace(goals=goals), score=score + gain - contacts.sum())
         reward = gain / len(self.agents(scene)) + self.hint * 100.0 * credit - contacts
         return StepResult(
             memory=memory,
