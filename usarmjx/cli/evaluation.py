@@ -124,6 +124,8 @@ def _compare(
     how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
     rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
     typer.echo(yardsticks.table(played, rows))
+    if line := yardsticks.shares(rows):
+        typer.echo(line)
     if json is not None:
         split = split or usual_split(task, set_by_hand)
         setup = {"task": task, "split": split, "engine": how[1], "settings": pairs}

@@ -25,6 +25,7 @@ from usarmjx.base.estimates import Estimate, estimate_groups
 from usarmjx.base.markdown import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
+from usarmjx.train.baselines.goals import reporting_policy, silent_policy
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -40,6 +41,8 @@ from usarmjx.train.policies.sources import (
     task_settings,
     usual_split,
 )
+from usarmjx.train.tasks import TASKS
+from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 from usarmjx.train.tasks.victim_search import VictimSearch
 
@@ -75,6 +78,8 @@ def alone(task: TeamTask) -> TeamTask:
     """Return a task with its first robot only; a base stays."""
     if isinstance(task, VictimSearch):
         return replace(task, wheeled=task.wheeled[:1], tracked=(), flying=())
+    if isinstance(task, ExploreBase):
+        task = replace(task, least_robots=0)
     return replace(task, count=1)
 
 
@@ -92,7 +97,9 @@ def packaged_policy(env: Env) -> Policy:
 
 def packaged_name(task: str) -> str:
     """Return the name of the packaged policy for a task, or for another version of it."""
-    return task if task in POLICIES else re.sub(r"-v\d+$", "", task)
+    if task in POLICIES or (task in TASKS and isinstance(TASKS.get(task), ExploreBase)):
+        return task  # no other version observes and acts alike
+    return re.sub(r"-v\d+$", "", task)
 
 
 def baseline_policy(env: Env) -> Policy:
@@ -120,6 +127,17 @@ def with_perfect_radio(task: TeamTask) -> TeamTask:
     return replace(task.for_baseline, radio=PERFECT_RADIO)
 
 
+def knowing(task: TeamTask) -> TeamTask:
+    """Return a task in which robots know the building and hear everyone.
+
+    Raises:
+        UsageError: A task whose robots cannot.
+    """
+    if not isinstance(task, ExploreBase):
+        raise UsageError("only explore-v3 has an oracle")
+    return replace(task, radio=PERFECT_RADIO, oracle=True)
+
+
 def with_training_advice(source: PolicySource, task: TeamTask) -> TeamTask:
     """Return a task that shows the planner's advice if a policy was trained with it, and else hides it."""
     if "advice" not in source.overrides:
@@ -141,9 +159,15 @@ TEAMS: dict[str, Team] = {
 """Teams that need no policy of the user's own, by name."""
 
 
+GOAL_TEAMS: dict[str, Team] = {"frontier": (unchanged, silent_policy), "oracle": (knowing, reporting_policy)}
+"""Further ones for `explore-v3`: robots that never go home, and those that know the building and hear all."""
+
+
 def default_teams(task: str) -> tuple[str, ...]:
     """Return the names of `TEAMS` that can play a task: no policy is packaged for some."""
-    return tuple(name for name in TEAMS if name != "packaged" or packaged_name(task) in POLICIES)
+    chooses = task in TASKS and isinstance(TASKS.get(task), ExploreBase)
+    usual = tuple(name for name in TEAMS if name != "packaged" or packaged_name(task) in POLICIES)
+    return usual + tuple(GOAL_TEAMS) * chooses
 
 
 def find_team(name: str) -> Team:
@@ -152,8 +176,8 @@ def find_team(name: str) -> Team:
     Raises:
         UnknownNameError: There is neither.
     """
-    if name in TEAMS:
-        return TEAMS[name]
+    if name in {**TEAMS, **GOAL_TEAMS}:
+        return {**TEAMS, **GOAL_TEAMS}[name]
     try:
         source = load_policy(name)
     except UnknownNameError as error:
@@ -171,7 +195,7 @@ def training_note(team: str, task: TeamTask, name: str) -> str:
     """
     if team == "packaged":
         source = replace(load_exported(POLICIES.get(packaged_name(name))), name=team)
-    elif team in TEAMS:
+    elif team in {**TEAMS, **GOAL_TEAMS}:
         return ""
     else:
         source = load_policy(team)
@@ -356,7 +380,7 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     ready: list[tuple[str, TeamTask, Policy]] = []
     named = {team: find_team(team) for team in (default_teams(name) if teams is None else teams)}
     for team, (change, driver) in named.items():
-        own = task if team not in TEAMS and "advice" in overrides else change(task)
+        own = task if team not in {**TEAMS, **GOAL_TEAMS} and "advice" in overrides else change(task)
         if own not in envs:
             envs[own] = build_env(own, played, name=name, engine=engine)
         try:
@@ -385,3 +409,17 @@ def table(task: TeamTask, rows: Sequence[TeamResult]) -> str:
         cells += [f"{100 * share:.0f} %" for share in (*row.reached, row.outside)]
         lines.append(cells)
     return markdown_table(("team", "score", "95 % interval", *most, "1/4", "1/2", "3/4", "outside"), lines)
+
+
+def shares(rows: Sequence[TeamResult]) -> str:
+    """Return the scores as shares between those of `random` (0) and `oracle` (1), in a line; empty without.
+
+    Episodes of failed physics are left out, of all teams.
+    """
+    named = {row.name: np.array(row.by_world) for row in rows}
+    if not {"random", "oracle"} <= named.keys():
+        return ""
+    good = np.isfinite(np.stack([*named.values()])).all(0)
+    low, high = (named[name][good].mean() for name in ("random", "oracle"))
+    found = {name: (one[good].mean() - low) / max(high - low, 1e-9) for name, one in named.items()}
+    return "share of the oracle's: " + ", ".join(f"{name} {share:.2f}" for name, share in found.items())

@@ -8,7 +8,6 @@ import numpy as np
 
 from usarmjx.base.errors import extra
 from usarmjx.base.files import atomic_write
-
 from usarmjx.train.policies.policy_file import INVALID
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from usarmjx.train.mapping.belief import Belief, update_base_contact
 from usarmjx.train.mapping.goals import WAY_SQUARES, Goals, find_goals, next_on_way, way_to, where_due
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 from usarmjx.train.mapping.planning import near_others
-from usarmjx.train.mapping.way_driving import frontier_action
 from usarmjx.train.mapping.wavefront import frontier
+from usarmjx.train.mapping.way_driving import frontier_action
 from usarmjx.train.tasks.attrition import drawn_team, remaining_robots
 from usarmjx.train.tasks.equip import base_station, mapping_robot
 from usarmjx.train.tasks.goal_features import (

@@ -25,7 +25,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.train.mapping.belief import SCANNER_RANGE, SECTOR_COUNT, Belief
 from usarmjx.train.mapping.goals import Goals
-from usarmjx.train.mapping.maps import FREE, MapGrid
+from usarmjx.train.mapping.maps import MapGrid
 
 MATES, FRONTIERS, OBSERVED_MATES = 2, 12, 4
 """Other robots and frontiers among the goals, and other robots that are observed."""
