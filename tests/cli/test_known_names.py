@@ -16,7 +16,7 @@ from usarmjx.cli.app import app
 from usarmjx.cli.known_names import check_file, check_name, check_policy, check_roster
 from usarmjx.cli.listing import commands_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.train.evaluation.yardsticks import TEAMS
+from usarmjx.train.evaluation.yardsticks import GOAL_TEAMS, TEAMS
 from usarmjx.train.policies.untrained import UNTRAINED
 
 ARENA, ROBOT, ENGINE = ("yelow", "'yellow'"), ("P2TA", "'P2AT'"), ("plannar", "'planar'")
@@ -177,6 +177,7 @@ def test_the_table_is_that_of_the_registries():
 
 def test_words_beside_the_registries_are_those_of_their_modules():
     assert (*TEAMS,) == known_names.TEAM_WORDS
+    assert (*GOAL_TEAMS,) == known_names.GOAL_TEAM_WORDS
     assert (*UNTRAINED,) == known_names.AGENTS
 
 

@@ -21,7 +21,7 @@ from usarmjx.cli.common import (
     with_robot,
 )
 from usarmjx.cli.completion import complete_policies, complete_tasks
-from usarmjx.cli.known_names import TEAM_WORDS, check_policy
+from usarmjx.cli.known_names import GOAL_TEAM_WORDS, TEAM_WORDS, check_policy
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce, say, tried_on
@@ -83,7 +83,7 @@ def teams(
     """Compare teams in the same buildings: parts of their scores, and times of their finds."""
     with ErrorExit(), ends_on_signals():
         for name in names or ():
-            check_policy(name, TEAM_WORDS)
+            check_policy(name, (*TEAM_WORDS, *GOAL_TEAM_WORDS))
         pairs = task_pairs(task, with_robot(settings, robot), config)
         if print_config:
             print_task(task, {}, pairs)

@@ -46,6 +46,8 @@ RUN_WORDS = ("baseline", "packaged", "random", "by-hand", "shipped")
 """Policies of `usarmjx suite run` and of sweeps that each task has one of."""
 TEAM_WORDS = ("random", "one", "baseline", "perfect-radio", "packaged")
 """Teams of `usarmjx teams` that are no policies."""
+GOAL_TEAM_WORDS = ("frontier", "oracle")
+"""Further ones of `explore-v3`."""
 
 
 @cache

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.train.rooms import play, room
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.learning.config import Config
@@ -41,7 +41,10 @@ def worlds_of(name, task, count):
 
 
 def test_the_tasks_below_are_all_that_give_advice():
-    assert {name for name, task in TASKS if hasattr(task, "advice")} == set(TEAMS)
+    advised = {name for name, task in TASKS if hasattr(task, "advice") and not task.discrete}
+    assert advised == set(TEAMS)
+    with pytest.raises(SpecError, match="robots of this task see no advice"):
+        replace(TASKS.get("explore-v3"), advice=False)
 
 
 FEW = ("victim-search-v2", "relay-chain")

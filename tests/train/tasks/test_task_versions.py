@@ -296,6 +296,6 @@ def test_a_value_stands_in_for_what_follows_only_where_something_does(time_limit
 def test_tasks_over_a_number_of_steps_say_so():
     ends = {name for name, task in TASKS if task.time_limit == "end"}
     versions = {f"{name}{version}" for name in LIBRARIES for version in ("", "-v1", "-v2")}
-    assert ends == {*versions, "relay-chain", "soccer"}
+    assert ends == {*versions, "explore-v3", "relay-chain", "soccer"}
     with pytest.raises(UsageError, match="time_limit is 'never', expected one of end, truncation"):
         Env(replace(TASKS.get("wander"), time_limit="never"), 1)

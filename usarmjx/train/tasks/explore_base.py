@@ -78,7 +78,7 @@ class ExploreBaseState(struct.PyTreeNode, kw_only=True):
 
 
 class KnownMaps(struct.PyTreeNode, kw_only=True):
-    """What goals and ways of robots depend on.
+    """Facts that goals and ways of robots depend on.
 
     Attributes:
         squares: Their maps (robots, i, j).
@@ -151,6 +151,8 @@ class ExploreBase(TeamTask):
 
     def problem(self) -> str:
         """Return a conflict between settings."""
+        if not self.advice:
+            return "advice is false, but robots of this task see no advice"
         wrong = self.least_robots > self.count
         return f"least_robots is {self.least_robots}, but the team has {self.count} robots" if wrong else ""
 
@@ -324,7 +326,7 @@ class ExploreBase(TeamTask):
         return jnp.where(recent, (belief.squares == FREE).sum((1, 2)), memory.extra.reported)
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
-        """What the base has on its map, and contacts."""
+        """Squares on the base's map, and contacts."""
         steps, scene, before = self.episode_steps, view.scene, memory.extra
         worth = self.worth((steps - memory.step) / steps)  # this step's number is one more
         squares = jnp.maximum(memory.reachable.sum(), 1)

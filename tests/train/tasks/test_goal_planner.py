@@ -1,0 +1,56 @@
+"""Planners of explore-v3 on observations written by hand."""
+
+import numpy as np
+import pytest
+
+from usarmjx.train.tasks.goal_features import (
+    FIRST_GOAL,
+    FIRST_MASK,
+    GOAL_NUMBERS,
+    GOALS,
+    MATES,
+    OBSERVATION_SIZE,
+    chosen_goal,
+)
+
+CELL = 0.3
+
+
+def observation(*, seconds=100.0, news=0.0, home=20.0, frontiers=((3, 12.0), (5, 9.0)), going=0):
+    """What a robot observes with a way home and to frontiers of some lengths [squares], straight ahead."""
+    seen = np.zeros(OBSERVATION_SIZE, np.float32)
+    seen[1], seen[5] = seconds / 100.0, news / 1000.0
+    goals, mask = seen[FIRST_GOAL:FIRST_MASK].reshape(GOALS, GOAL_NUMBERS), seen[FIRST_MASK:]
+    for goal, length in ((0, home), *frontiers):
+        goals[goal, 0], goals[goal, 2], goals[goal, 6], mask[goal] = 0.5, length / 100.0, 1.0, 1.0
+    goals[going, 9] = 1.0
+    return seen
+
+
+def test_the_nearest_frontier_is_taken_unless_another_goes_there():
+    seen = observation()
+    assert chosen_goal(seen, CELL, report=False) == 5
+    seen[FIRST_GOAL + 5 * GOAL_NUMBERS + 6] = 0.0  # where another one goes: 20 squares more
+    assert chosen_goal(seen, CELL, report=False) == 3
+
+
+def test_other_robots_are_no_frontiers_and_without_one_a_robot_goes_home():
+    seen = observation(frontiers=((MATES, 1.0),))
+    assert chosen_goal(seen, CELL, report=False) == 0
+
+
+@pytest.mark.parametrize(
+    ("facts", "home"),
+    [
+        ({"news": 100.0, "seconds": 60.0}, False),  # 20 squares are 6 m: 20 s at 0.3 m/s, and 8 s to spare
+        ({"news": 100.0, "seconds": 27.9}, True),
+        ({"news": 100.0, "seconds": 28.1}, False),
+        ({"news": 20.0, "seconds": 20.0}, False),  # nothing worth the way
+        ({"news": 1000.0, "seconds": 100.0}, True),
+        ({"news": 100.0, "seconds": 60.0, "going": 0}, True),  # it is on its way
+    ],
+)
+def test_news_are_brought_home_in_time(facts, home):
+    seen = observation(**{"going": 5, **facts})
+    assert chosen_goal(seen, CELL, report=True) == (0 if home else 5)
+    assert chosen_goal(seen, CELL, report=False) == 5
