@@ -18,8 +18,12 @@ SHARES = np.array([0.1, 0.2, 0.3, 0.4])
 def test_probability_entropy_and_mode_are_those_of_the_shares():
     logits = jnp.log(SHARES)
     choice = jnp.eye(4)
-    np.testing.assert_allclose(jax.vmap(lambda one: KIND.log_prob(logits, one))(choice), np.log(SHARES), rtol=1e-5)
-    assert KIND.entropy(logits, jax.random.key(0)) == pytest.approx(-(SHARES * np.log(SHARES)).sum(), rel=1e-5)
+    np.testing.assert_allclose(
+        jax.vmap(lambda one: KIND.log_prob(logits, one))(choice), np.log(SHARES), rtol=1e-5
+    )
+    assert KIND.entropy(logits, jax.random.key(0)) == pytest.approx(
+        -(SHARES * np.log(SHARES)).sum(), rel=1e-5
+    )
     assert KIND.mode(logits).tolist() == [0, 0, 0, 1]
     assert imitation_loss(KIND, logits, choice[1], 0.3) == pytest.approx(-np.log(0.2), rel=1e-5)
 

@@ -73,7 +73,9 @@ def test_ways_lead_square_by_square_to_the_goal_and_end_there(corridor):
     assert way.shape == (WAY_SQUARES, 2)
     np.testing.assert_allclose(way[:4, 1], CELL * np.arange(11, 15), rtol=1e-6)
     np.testing.assert_allclose(way[4:], np.broadcast_to(goal, way[4:].shape), rtol=1e-6)
-    nowhere = way_to(GRID, corridor, pose_at(2, 10), jnp.array([0.0, 0.0]), blocked=jnp.ones(GRID.shape, bool))
+    nowhere = way_to(
+        GRID, corridor, pose_at(2, 10), jnp.array([0.0, 0.0]), blocked=jnp.ones(GRID.shape, bool)
+    )
     np.testing.assert_allclose(nowhere, np.broadcast_to([2 * CELL, 10 * CELL], way.shape), rtol=1e-6)
 
 

@@ -75,7 +75,8 @@ def imitation_loss(
         deviation: Target deviation of actions before they are squashed, see `Config.imitation_std`.
 
     Returns:
-        Half the sum of the squares of both; of choices, minus the logarithm of the teacher's probability (...).
+        Half the sum of the squares of both (...); of choices, minus the logarithm of the probability of the
+        teacher's.
     """
     if isinstance(kind, ChoiceDistribution):
         return -kind.log_prob(logits, teacher_action)

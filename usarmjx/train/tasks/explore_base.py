@@ -114,7 +114,7 @@ class ExploreBase(TeamTask):
 
     Action `goals`: a number for each goal; the robot takes the valid one with the greatest, every `hold`
     steps, and one given controller drives it there along the shortest way on its own map. Action `wheels`:
-    speed and turn, as `TeamTask`; the way leads to the goal of the planner `reporting`.
+    speed and turn, as `TeamTask`; the way leads to the goal of the planner that brings news home.
 
     Observation, in the robot's axes: see `goal_features`. Its size depends neither on the team nor on the
     building. The last 15 numbers say which goals are valid.

@@ -3,12 +3,12 @@
 The numbers, in the robot's axes (x ahead, y to the left):
 - the share of the time that is left, and the time left (1: 100 s); how far the robot has come lately (1:
   0.5 m); whether it has a link to the base, and the time since its news last came there (1: 60 s); free
-  squares on its map that the base may not have (1: 1000), and all of them (1: 5000); how many of the others it
-  has heard of lately (1: 16);
+  squares on its map that the base may not have (1: 1000), and all of them (1: 5000); how many of the others
+  it has heard of lately (1: 16);
 - the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
 - for each of the 4 nearest others that it has heard of lately: whether there is one; where it said to be and
-  where it said to go (x, y each; 1: 12 m); the age of that (1: 40 s), whether there is a link now, and the time
-  since its news last came to the base (1: 60 s);
+  where it said to go (x, y each; 1: 12 m); the age of that (1: 40 s), whether there is a link now, and the
+  time since its news last came to the base (1: 60 s);
 - for each of 15 goals, the base, two others and 12 frontiers: position (x, y; 1: 12 m), length of the way (1:
   100 squares), share of unknown squares around it, distance from the base (1: 30 m), distance of the nearest
   other, and of the nearest goal of others of lower slots (1: 12 m), how many others are nearer to it (1: 4),
