@@ -39,9 +39,12 @@ def test_flippers_lift_as_the_page_of_robots_says(name, lever):
 
 
 def test_a_gripper_holds_no_more_than_the_friction_of_its_fingers_carries(monkeypatch):
-    """Two fingers carry 2 mu times their force; a block creeps out of them before it slips."""
+    """Two fingers carry 2 mu times their force; a block creeps out of them before it slips.
+
+    The weaker ones press with 8 N: the trembling of tracks alone shakes a block out of 5 N.
+    """
     held = []
-    for force in (60.0, 5.0):
+    for force in (60.0, 8.0):
         monkeypatch.setattr(gripper, "MOTOR", replace(gripper.MOTOR, torque=force))
         robot = replace(ROBOTS.get("Talon"), name=f"Talon{force:g}")
         orders = orders_of(robot)
