@@ -85,7 +85,7 @@ def test_packaged_policies_are_found_by_their_task(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "POLICIES", policies_in(tmp_path))
     monkeypatch.chdir(tmp_path)
     assert load_policy("Drive-To-Goal").task == "drive-to-goal"
-    with pytest.raises(UnknownNameError, match=r"chess is no folder .* packaged one; packaged: drive-to-goal"):
+    with pytest.raises(UnknownNameError, match=r"chess is no folder .* one; packaged: drive-to-goal"):
         load_policy("chess")
 
 
