@@ -3,6 +3,7 @@
 import asyncio
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -58,6 +59,22 @@ class Roll(Task):
         return StepResult(memory + 1, (jnp.zeros(2),), jnp.zeros((), bool), memory + 1, {})
 
 
+@dataclass(frozen=True, kw_only=True)
+class Remember(Roll):
+    """Robots are driven by what the task remembers of the actions, which is their mean."""
+
+    decides: ClassVar[bool] = True
+
+    def decide(self, view, memory, actions):
+        return actions[0].mean()
+
+    def act(self, view, memory, actions):
+        return super().act(view, memory, tuple(jnp.full_like(one, memory) for one in actions))
+
+    def evaluate(self, view, memory):
+        return StepResult(memory, (jnp.zeros(2),), jnp.zeros((), bool), memory, {})
+
+
 @pytest.fixture(scope="module")
 def compiled():
     """Both robots of both worlds are driven straight on; the policy's memory counts its actions."""
@@ -105,6 +122,24 @@ def went(world, seconds):
 def test_the_policy_drives_all_robots_of_all_worlds(world):
     run(world, 1.0)
     np.testing.assert_allclose(went(world, 1.0), SPEED, rtol=0.05)  # wheels slip a little
+
+
+def test_a_task_that_decides_remembers_the_actions_of_the_policy():
+    """One wheel's share is 0 and the other's twice that of the mean, which drives both."""
+    task = Remember(
+        sensors=("GroundTruth",), physics=Physics(timestep=0.01, substeps=5), repeat=4, episode_steps=STEPS
+    )
+    policy = Policy(
+        initial_carry=lambda worlds: jnp.zeros(worlds),
+        act=lambda memory, obs, key: (
+            memory,
+            (jnp.broadcast_to(jnp.array([0.0, 2 * SHARE]), (*obs[0].shape[:2], 2)),),
+        ),
+    )
+    world = PolicyWorld(PolicyBatch(Env(task, 2, engine="c", seed=3), policy))
+    run(world, 1.0)
+    np.testing.assert_allclose(went(world, 1.0), SPEED, rtol=0.05)  # wheels slip a little
+    assert world.score == pytest.approx(SHARE)
 
 
 def test_a_robot_is_taken_over_by_its_name_where_it_is_and_given_back(world):

@@ -189,11 +189,14 @@ class PolicyBatch(SharedBatch):
         memory: Any,  # noqa: ANN401
         actions: tuple[jax.Array, ...],
         claimed: Array,
-    ) -> World:
-        """Apply actions to the robots that no client has claimed (robots,)."""
+    ) -> tuple[World, Any]:
+        """Apply actions to the robots that no client has claimed (robots,); return the task's memory, too."""
         task, scene = self.env.task, self.env.scene
         bounded = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
-        return apply_actions(scene, view.world, view.physics, task.act(view, memory, bounded), where=~claimed)
+        if task.decides:
+            memory = task.decide(view, memory, bounded)
+        commands = task.act(view, memory, bounded)
+        return apply_actions(scene, view.world, view.physics, commands, where=~claimed), memory
 
     def _advance(
         self, parts: Parts, before: PolicyState, keys: jax.Array, again: Array
@@ -255,9 +258,9 @@ class PolicyBatch(SharedBatch):
         memory = jax.tree.map(partial(select_worlds, began), initial, state.policy)
         self._act_example = memory, obs, jax.random.fold_in(self._key, self.steps)
         memory, actions = self._act(*self._act_example)
-        worlds = self._apply_actions_all(parts, state.task, actions, self.claimed)
+        worlds, task = self._apply_actions_all(parts, state.task, actions, self.claimed)
         self.state = self.state.replace(worlds=worlds)
-        self._policy_state = state.replace(policy=memory)
+        self._policy_state = state.replace(policy=memory, task=task)
 
     def maps(self, world: int) -> TeamMaps | None:
         """Return the maps that the robots of a world are building, as of the last action."""
