@@ -83,7 +83,11 @@ def test_training_tells_tasks_how_late_their_first_episodes_begin():
     env = SimpleNamespace(task=Late(), reset=lambda seed: state, worlds=2)
     late = jnp.array([3, 5])
     rollout = SimpleNamespace(
-        config=Config(), env=env, teacher=None, _begin=lambda key: (jnp.arange(2), late, ())
+        config=Config(),
+        env=env,
+        teacher=None,
+        _seeds=lambda: (0, None),
+        _begin=lambda key: (jnp.arange(2), late, ()),
     )
     begun = Rollout.start(rollout, 1.0).env_state
     assert begun.memory[0] == "told"
