@@ -27,7 +27,7 @@ CLASSES = ("P2AT", "P2DX")
 
 
 def visit_world(port, robot):
-    peer = Peer(port, f"INIT {{ClassName USARBot.{robot}}} {{Name R}} {{Location 0,0,0}}")
+    peer = Peer(port, f"INIT {{ClassName USARBot.{robot}}} {{Name {robot}}} {{Location 0,0,0}}")
     assert peer.until(b"STA ")
     peer.say("DRIVE {Left 1.0} {Right 0.5}")
     assert peer.until(b"SEN ")
