@@ -26,12 +26,16 @@ SETTLED = 5
 CLASSES = ("P2AT", "P2DX")
 
 
-def visit_world(port, robot):
+def visit_world(world, port, robot):
     peer = Peer(port, f"INIT {{ClassName USARBot.{robot}}} {{Name {robot}}} {{Location 0,0,0}}")
     assert peer.until(b"STA ")
     peer.say("DRIVE {Left 1.0} {Right 0.5}")
     assert peer.until(b"SEN ")
     peer.close()
+    end = time.monotonic() + PATIENCE
+    while world.robots and time.monotonic() < end:
+        time.sleep(0.005)
+    assert not world.robots
 
 
 def visit_page(port):
@@ -54,6 +58,7 @@ def objects(server, threads):
     while (server._connections or threading.active_count() > threads) and time.monotonic() < end:
         time.sleep(0.05)
     assert not server._connections
+    time.sleep(1.0)  # timers and executors let go of what they ran
     gc.collect()
     return Counter(f"{type(one).__module__}.{type(one).__qualname__}" for one in gc.get_objects())
 
@@ -66,7 +71,7 @@ def test_who_came_and_went_leaves_nothing_behind():
     ros.server = server
     with looping([server]):
         visits = (
-            *(partial(visit_world, server.port, robot) for robot in CLASSES),
+            *(partial(visit_world, world, server.port, robot) for robot in CLASSES),
             partial(visit_page, page.port),
             partial(visit_ros, ros.port),
         )
