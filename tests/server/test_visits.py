@@ -5,7 +5,9 @@ import json
 import threading
 import time
 from collections import Counter
-from functools import partial
+from functools import partial, reduce
+from itertools import pairwise
+from operator import and_
 
 from websockets.sync.client import connect
 
@@ -77,13 +79,14 @@ def test_who_came_and_went_leaves_nothing_behind():
         )
         threads = 0
         counts = []
-        for rounds in (SETTLED, ROUNDS, ROUNDS):
+        for rounds in (SETTLED, ROUNDS, ROUNDS, ROUNDS, ROUNDS):
             for _ in range(rounds):
                 for visit in visits:
                     visit()
             threads = threads or threading.active_count()
             counts.append(objects(server, threads))
-    # In both: a thread may hold some at one of the moments.
-    left = (counts[1] - counts[0]) & (counts[2] - counts[1])
+    # In all: a thread may hold some at one of the moments.
+    first, *others = (after - before for before, after in pairwise(counts))
+    left = reduce(and_, others, first)
     # One a visit of one kind would be `ROUNDS`.
     assert {name: count for name, count in left.items() if count >= ROUNDS} == {}
