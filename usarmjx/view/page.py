@@ -117,6 +117,10 @@ class LayerSwitches:
             layer.update(self._page.drawing, self._page.frame)
 
 
+CAPTION_OFFSET = 0.05
+"""Sort key of a caption after that of the buttons of views."""
+
+
 class ViewButtons:
     """Buttons and keys that attach a user's view to robots, and a caption of the present view."""
 
@@ -140,8 +144,9 @@ class ViewButtons:
             text = self._caption(viewer)
             known = self._captions.get(number)
             if known is None:
-                with self._folder:
-                    self._captions[number] = text, viewer.client.gui.add_markdown(text)
+                # Not in the folder: that is the server's, and would keep those of users who have just left.
+                caption = viewer.client.gui.add_markdown(text, order=self._folder.order + CAPTION_OFFSET)
+                self._captions[number] = text, caption
             elif known[0] != text:
                 known[1].content = text
                 self._captions[number] = text, known[1]
@@ -451,6 +456,9 @@ class ViewerPage:
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
         def join() -> None:
+            # viser calls this in a thread of its own: who stays briefly may have left, and not leave again.
+            if client.client_id not in self.server.get_clients():
+                return
             self.viewers[client.client_id] = viewer = Viewer(client)
             viewer.framed.append(np.asarray(self.server.initial_camera.position))
             self._frame_all(viewer)
