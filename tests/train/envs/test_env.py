@@ -141,7 +141,7 @@ def test_actions_are_made_finite_and_clamped(env):
 
 
 def test_tasks_get_no_other_actions():
-    """Whatever they make of them: DRIVE clips its numbers itself, messages and joints do not."""
+    """DRIVE clips its numbers itself, messages and joints do not."""
     lone, seen = LoneWorld(build_scene(FLAT, ["P2AT"])), []
 
     def act(view, memory, actions):
@@ -149,7 +149,9 @@ def test_tasks_get_no_other_actions():
         return Actions()
 
     wild = jnp.array([[7.0, -9.0, np.nan, np.inf, -np.inf, 0.5]])
-    apply_policy_actions(lone.scene, SimpleNamespace(act=act), lone.world, lone.physics, (), (wild,))
+    apply_policy_actions(
+        lone.scene, SimpleNamespace(act=act, decides=False), lone.world, lone.physics, (), (wild,)
+    )
     np.testing.assert_array_equal(seen[0], [[1.0, -1.0, 0.0, 0.0, 0.0, 0.5]])
 
 

@@ -38,7 +38,7 @@ from usarmjx.sim.batch import select_worlds
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.world import World, observe
-from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.env import Env, command
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.envs.task import Policy, TaskView, TeamMaps
 from usarmjx.train.learning.checkpoint import Checkpoints
@@ -191,12 +191,8 @@ class PolicyBatch(SharedBatch):
         claimed: Array,
     ) -> tuple[World, Any]:
         """Apply actions to the robots that no client has claimed (robots,); return the task's memory, too."""
-        task, scene = self.env.task, self.env.scene
-        bounded = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
-        if task.decides:
-            memory = task.decide(view, memory, bounded)
-        commands = task.act(view, memory, bounded)
-        return apply_actions(scene, view.world, view.physics, commands, where=~claimed), memory
+        commands, memory = command(self.env.task, view, memory, actions)
+        return apply_actions(self.env.scene, view.world, view.physics, commands, where=~claimed), memory
 
     def _advance(
         self, parts: Parts, before: PolicyState, keys: jax.Array, again: Array

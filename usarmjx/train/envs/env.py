@@ -21,7 +21,7 @@ from usarmjx.base.program_cache import ProgramCache, compile_program, open_progr
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.sensors.base import Reading
-from usarmjx.sim.actions import apply_actions
+from usarmjx.sim.actions import Actions, apply_actions
 from usarmjx.sim.batch import Batch, BatchState, select_worlds
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.reset import init_world, reset
@@ -95,6 +95,20 @@ def start_episode(
     )
 
 
+def command(
+    task: Task,
+    view: TaskView,
+    memory: Memory,
+    actions: tuple[Array, ...],
+    alive: tuple[jax.Array, ...] | None = None,
+) -> tuple[Actions, Memory]:
+    """Return the commands of actions per group (robots, action_size), and the task's memory of them."""
+    bounded = _bounded(actions, alive)
+    if task.decides:
+        memory = task.decide(view, memory, bounded)
+    return task.act(view, memory, bounded), memory
+
+
 def apply_policy_actions(
     scene: Scene,
     task: Task,
@@ -103,23 +117,10 @@ def apply_policy_actions(
     memory: Memory,
     actions: tuple[Array, ...],
     alive: tuple[jax.Array, ...] | None = None,
-) -> World:
-    """Command the robots, from a policy's actions per group (robots, action_size)."""
-    view = _view_at_action(scene, world, physics)
-    return apply_actions(scene, world, physics, task.act(view, memory, _bounded(actions, alive)))
-
-
-def decide(
-    scene: Scene,
-    task: Task,
-    world: World,
-    physics: PhysicsState,
-    memory: Memory,
-    actions: tuple[Array, ...],
-    alive: tuple[jax.Array, ...] | None = None,
-) -> Memory:
-    """Return the task's memory of what was decided, see `Task.decide`."""
-    return task.decide(_view_at_action(scene, world, physics), memory, _bounded(actions, alive))
+) -> tuple[World, Memory]:
+    """Command the robots, from a policy's actions per group (robots, action_size); see `command`."""
+    commands, memory = command(task, _view_at_action(scene, world, physics), memory, actions, alive)
+    return apply_actions(scene, world, physics, commands), memory
 
 
 def _bounded(actions: tuple[Array, ...], alive: tuple[jax.Array, ...] | None) -> tuple[jax.Array, ...]:
@@ -337,7 +338,6 @@ class Env:
         self.renewable = self._generated is not None and self._generated.renewable
         self.first = first
         self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
-        self._decide = self._compile(jax.vmap(partial(decide, self.scene, task))) if task.decides else None
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
         self._regroup = self._compile(jax.vmap(partial(regroup, self.scene, task.shuffle)))
         self._blank = self._compile(self._blank_state)
@@ -631,19 +631,11 @@ class Env:
 
     def commanded(self, state: EnvState, actions: tuple[Array, ...]) -> World:
         """Return the worlds as they are before the first control step of an action: with its commands."""
-        return self._commanded(self._decided(state, actions), actions)
+        return self._commanded(state, actions)[0]
 
-    def _commanded(self, state: EnvState, actions: tuple[Array, ...]) -> World:
+    def _commanded(self, state: EnvState, actions: tuple[Array, ...]) -> tuple[World, Memory]:
         physics = self.batch.physics(state.batch)
         return self._act(state.batch.worlds, physics, state.memory, actions, state.alive)
-
-    def _decided(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
-        """Return the state with the task's memory of the actions, for tasks that decide."""
-        if self._decide is None:
-            return state
-        physics = self.batch.physics(state.batch)
-        memory = self._decide(state.batch.worlds, physics, state.memory, actions, state.alive)
-        return state.replace(memory=memory)
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         state = self._advance(state, actions)
@@ -652,8 +644,8 @@ class Env:
     def _advance(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
-        state = self._decided(state, actions)
-        worlds = self._commanded(state, actions)
+        worlds, memory = self._commanded(state, actions)
+        state = state.replace(memory=memory)
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat, reset_bad=False)
         worlds, task, present = self._evaluate(
             state.task_state, batch.worlds, self.batch.physics(batch), before
