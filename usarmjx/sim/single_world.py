@@ -28,7 +28,7 @@ from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.engines.c.world import CWorld
 from usarmjx.models.compile.compose import add_robot, new_spec, remove_robot
 from usarmjx.models.compile.materials import materials_of
-from usarmjx.models.compile.standing import standing_height
+from usarmjx.models.compile.standing import sinking
 from usarmjx.models.effecters import Opcode, no_dropped_tags
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
@@ -220,9 +220,8 @@ class SingleWorld:
         """Put the one robot of a group where there is room for it."""
         model, data, floor = self.engine.model, self.engine.data, self.scene.arena.floor
         (index,) = group.indices
-        sinking = max(0.0, group.plan.clearance - standing_height(group.robot))
         for (pos, quat), reach in (*((pose, 0.0) for pose in poses), (poses[0], SEARCH_RADIUS)):
-            found = free_pose(model, data, index, np.array(pos), quat, floor - sinking, reach)
+            found = free_pose(model, data, index, np.array(pos), quat, floor - sinking(group.robot), reach)
             if found is not None:
                 self.engine.place(index, *found)
                 self._homes[int(group.slots[0])] = self.engine.pose(index)

@@ -44,3 +44,8 @@ def standing_height(robot: RobotSpec) -> float:
         heights.append(float(data.qpos[height]) - ground.floor)
     stands = float(np.mean(heights[SETTLING_STEPS // 2 :]))
     return stands if abs(stands - clearance) < MAX_SINKING else clearance + START_GAP
+
+
+def sinking(robot: RobotSpec) -> float:
+    """Return how far a standing robot sinks into level ground [m]; 0: it does not stand."""
+    return max(0.0, kinematic_tree_of(robot).clearance - standing_height(robot))
