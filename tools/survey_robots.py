@@ -251,7 +251,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     ]
     lines.append("|---|---|---|---|---|---|---|---|---|---|")
     lines += [_row(row) for row in rows]
-    lines += ["", "What is off, and why:", "", *(f"- {reason}" for reason in REASONS)]
+    lines += ["", "Deviations and their causes:", "", *(f"- {reason}" for reason in REASONS)]
     return "\n".join(lines) + "\n"
 
 

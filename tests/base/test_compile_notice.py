@@ -49,7 +49,7 @@ def test_what_is_built_for_long_is_named_once_while_it_is(notice, lines):
     with notice.building("make('explore')"):
         notice.expect("its batch")
         wait_for(lambda: lines)
-    assert notice.told
+    assert notice.shown
     with notice.building("make('soccer')"):
         time.sleep(AFTER + 3 * POLL)
     (line,) = lines
@@ -57,7 +57,7 @@ def test_what_is_built_for_long_is_named_once_while_it_is(notice, lines):
     assert QUIET in line
 
 
-def test_a_long_compilation_is_told_of_while_it_lasts(notice, lines, busy):
+def test_a_long_compilation_is_reported_while_it_lasts(notice, lines, busy):
     notice.expect("Batch()")
     notice._hear(EVENT, 0.01)  # traced; no event comes while XLA compiles it
     busy.add(threading.get_ident())
@@ -73,7 +73,7 @@ def test_short_work_and_other_events_are_not_worth_a_line(notice, lines):
     with notice.building("make()"):
         pass
     wait_for(lambda: not notice._watched)  # nobody looks on
-    assert (lines, notice.told) == ([], False)
+    assert (lines, notice.shown) == ([], False)
 
 
 def test_a_line_comes_within_a_second():
@@ -81,10 +81,10 @@ def test_a_line_comes_within_a_second():
 
 
 def test_silence_reaches_children(monkeypatch):
-    monkeypatch.setattr(compile_notice.NOTICE, "told", False)
+    monkeypatch.setattr(compile_notice.NOTICE, "shown", False)
     environment = {}
     silence(environment)
-    assert (environment, compile_notice.NOTICE.told) == ({QUIET: "1"}, True)
+    assert (environment, compile_notice.NOTICE.shown) == ({QUIET: "1"}, True)
 
 
 @pytest.mark.parametrize(("asked", "count"), [("0", 1), ("1", 0)])

@@ -53,15 +53,15 @@ class CompileNotice:
         self._building = 0
         self._heard: set[int] = set()  # threads with an event since the last look
         self._compiling: set[int] = set()  # threads that had one
-        self._watched = self._listens = self.told = False
+        self._watched = self._listens = self.shown = False
 
     def expect(self, subject: str) -> None:
         """Note what compilations from now on are for.
 
         Args:
-            subject: It, in a few words. What is being built counts, if anything is.
+            subject: A few words. While something is being built, its subject stays.
         """
-        if self.told or self._building:
+        if self.shown or self._building:
             return
         self._subject = subject
         if not self._listens:
@@ -75,9 +75,9 @@ class CompileNotice:
         """Count the context as work.
 
         Args:
-            subject: What is built, in a few words.
+            subject: A few words for the object that is built.
         """
-        if self.told:
+        if self.shown:
             yield
             return
         self.expect(subject)
@@ -92,14 +92,14 @@ class CompileNotice:
 
     def _hear(self, event: str, duration_secs: float, **_: object) -> None:
         del duration_secs
-        if self.told or not event.startswith(COMPILE_EVENT_PREFIX):
+        if self.shown or not event.startswith(COMPILE_EVENT_PREFIX):
             return
         with self._lock:
             self._heard.add(threading.get_ident())
             self._watch()
 
     def _watch(self) -> None:
-        if not (self._watched or self.told):
+        if not (self._watched or self.shown):
             self._watched = True
             threading.Thread(target=self._look, name="compile notice", daemon=True).start()
 
@@ -114,11 +114,11 @@ class CompileNotice:
             works = works or any(map(self._at_work, self._compiling))
             busy, idle = (busy + POLL, 0.0) if works else (busy, idle + POLL)
             with self._lock:
-                if self.told or idle >= IDLE:
+                if self.shown or idle >= IDLE:
                     self._watched = False
                     return
-                self.told = busy >= AFTER
-            if self.told:
+                self.shown = busy >= AFTER
+            if self.shown:
                 self._write(
                     f"building and compiling {self._subject}; later starts take less time "
                     f"({QUIET}=1 hides this line)"
@@ -128,7 +128,7 @@ class CompileNotice:
 def silence(environment: MutableMapping[str, str] = os.environ) -> None:
     """Keep the line away from this process and its children, which report in another way or not at all."""
     environment.setdefault(QUIET, "1")
-    NOTICE.told = True
+    NOTICE.shown = True
 
 
 def _is_quiet() -> bool:
@@ -139,4 +139,4 @@ def _is_quiet() -> bool:
 
 NOTICE = CompileNotice()
 """The notice of this process."""
-NOTICE.told = _is_quiet()
+NOTICE.shown = _is_quiet()

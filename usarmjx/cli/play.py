@@ -113,9 +113,7 @@ def drawing_signals(record: Path | None) -> Generator[None]:
             yield
         return
     with StopSignals() as signals:
-        signals.finish_files(
-            lambda: None
-        )  # so that the main thread leaves its contexts, which close the file
+        signals.finish_files(lambda: None)  # the main thread leaves its contexts, which close the file
         try:
             yield
         except SystemExit as end:

@@ -1,4 +1,4 @@
-"""Goals on maps drawn by hand: which there are, how far, and the ways there."""
+"""Goals on small maps of known squares: positions, lengths and ways."""
 
 import jax
 import jax.numpy as jnp

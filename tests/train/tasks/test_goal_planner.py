@@ -1,4 +1,4 @@
-"""Planners of explore-v3 on observations written by hand."""
+"""Planners of explore-v3 on observations of a few known goals."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ CELL = 0.3
 
 
 def observation(*, seconds=100.0, news=0.0, home=20.0, frontiers=((3, 12.0), (5, 9.0)), going=0):
-    """What a robot observes with a way home and to frontiers of some lengths [squares], straight ahead."""
+    """Return an observation of a way home and of frontiers straight ahead, by lengths [squares]."""
     seen = np.zeros(OBSERVATION_SIZE, np.float32)
     seen[1], seen[5] = seconds / 100.0, news / 1000.0
     goals, mask = seen[FIRST_GOAL:FIRST_MASK].reshape(GOALS, GOAL_NUMBERS), seen[FIRST_MASK:]

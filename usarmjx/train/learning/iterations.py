@@ -236,7 +236,7 @@ def run_iterations(
 
     Args:
         trainer: Rollouts and updates of all runs.
-        outputs: What becomes of them.
+        outputs: Receivers of their numbers and checkpoints.
         restored: Train state, rollout state and number of iterations behind them.
         began: When the first iteration began to compile, by the performance counter [s].
         stop: Ends the training early, with a checkpoint.

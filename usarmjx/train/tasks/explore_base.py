@@ -191,7 +191,7 @@ class ExploreBase(TeamTask):
         presence = self.presence(view, memory)
         return None if presence is None else presence.alive
 
-    # What the robots believe, and where they go.
+    # Beliefs of the robots, and their ways.
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Look at the radio."""
@@ -302,7 +302,7 @@ class ExploreBase(TeamTask):
         ]
         return jnp.concatenate(rows, -1)
 
-    # What is evaluated.
+    # Evaluation.
 
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is reported."""
@@ -359,7 +359,7 @@ class ExploreBase(TeamTask):
         """The score if the base had all on its map at the start."""
         return {"mapped": 100.0, **super().most_points}
 
-    # What the agents observe.
+    # Observations.
 
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """See `goal_features`; with wheels, the way of `TeamTask` before it."""
