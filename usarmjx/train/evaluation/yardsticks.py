@@ -161,7 +161,11 @@ TEAMS: dict[str, Team] = {
 
 GOAL_TEAMS: dict[str, Team] = {"frontier": (unchanged, silent_policy), "oracle": (knowing, reporting_policy)}
 """Further ones for `explore-v3`: robots that never go home, and those that know the building and hear all."""
-ALL_TEAMS = {**TEAMS, **GOAL_TEAMS}
+
+
+def named_team(name: str) -> Team | None:
+    """Return a team that needs no policy of the user's own; None: there is none of that name."""
+    return TEAMS.get(name) or GOAL_TEAMS.get(name)
 
 
 def default_teams(task: str) -> tuple[str, ...]:
@@ -177,8 +181,8 @@ def find_team(name: str) -> Team:
     Raises:
         UnknownNameError: There is neither.
     """
-    if name in ALL_TEAMS:
-        return ALL_TEAMS[name]
+    if team := named_team(name):
+        return team
     try:
         source = load_policy(name)
     except UnknownNameError as error:
@@ -196,7 +200,7 @@ def training_note(team: str, task: TeamTask, name: str) -> str:
     """
     if team == "packaged":
         source = replace(load_exported(POLICIES.get(packaged_name(name))), name=team)
-    elif team in ALL_TEAMS:
+    elif named_team(team):
         return ""
     else:
         source = load_policy(team)
@@ -381,7 +385,7 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     ready: list[tuple[str, TeamTask, Policy]] = []
     named = {team: find_team(team) for team in (default_teams(name) if teams is None else teams)}
     for team, (change, driver) in named.items():
-        own = task if team not in ALL_TEAMS and "advice" in overrides else change(task)
+        own = task if not named_team(team) and "advice" in overrides else change(task)
         if own not in envs:
             envs[own] = build_env(own, played, name=name, engine=engine)
         try:
