@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from usarmjx.train.evaluation.yardsticks import measure_teams
 from usarmjx.train.tasks.goal_features import (
     FIRST_GOAL,
     FIRST_MASK,
@@ -54,3 +55,13 @@ def test_news_are_brought_home_in_time(facts, home):
     seen = observation(**{"going": 5, **facts})
     assert chosen_goal(seen, CELL, report=True) == (0 if home else 5)
     assert chosen_goal(seen, CELL, report=False) == 5
+
+
+@pytest.mark.thorough
+def test_a_team_that_reports_beats_a_silent_one():
+    """Only the base's map counts: news have to get into its radio's reach. Mean of three buildings."""
+    rows = measure_teams(
+        "explore-v3", 3, teams=("frontier", "baseline"), engine="planar", split="validation", count=2
+    )
+    silent, reporting = (np.array(row.by_world) for row in rows)
+    assert reporting.mean() > silent.mean() + 5.0
