@@ -248,7 +248,7 @@ def test_without_a_location_the_first_free_start_is_taken_and_a_rotation_counts(
 def test_a_robot_inside_the_floor_is_raised_and_that_is_logged(house, caplog):
     caplog.set_level(logging.INFO, "usarmjx")
     client = house.connect("INIT {ClassName P2AT} {Name Mole} {Location 4.5,1.9,3.0}")
-    assert "Mole: no room at 4.50,-1.90,-3.00: it stands at 4.50,-1.90,-1.8" in caplog.text
+    assert "Mole: no room at 4.50,1.90,3.00: it stands at 4.50,1.90,1.8" in caplog.text
     house.run()
     assert look(heard(client))[2][2] == pytest.approx(1.82, abs=0.02)
 
@@ -256,7 +256,7 @@ def test_a_robot_inside_the_floor_is_raised_and_that_is_logged(house, caplog):
 @pytest.mark.parametrize(
     ("line", "logged"),
     [
-        ("INIT {ClassName P2AT} {Location 1e6,0,0}", "out of reach"),
+        ("INIT {ClassName P2AT} {Location 1e6,2,-0.5}", "position 1000000.00,2.00,-0.50 is out of reach"),
         ("INIT {ClassName P2AT} {Location nan,0,0}", "not a finite number"),
         ("INIT {ClassName P2AT} {Location 4,5 1,9 1,8}", "expected numbers"),
         ("INIT {ClassName P2AT} {Location 4,5,1,9,1,8}", "has 6 numbers, expected 3"),

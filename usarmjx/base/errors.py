@@ -7,11 +7,13 @@ UsarmjxError
 │   │   ├── ArenaFileError            an arena's file that does not read
 │   │   ├── UnsupportedFeatureError   the chosen engine would ignore or refuse it
 │   │   └── UnsupportedGeomError      a geom type that the raycaster cannot hit
+│   ├── PlaceError          a position where nothing can be put; its axes can be changed
 │   ├── EngineError         the engine cannot run here, or overflowed its buffers
 │   └── WriteError          a file that cannot be written: no room, no right
 └── PeerError               a network peer's fault: logged, the peer is dropped, nobody else notices
 """
 
+from collections.abc import Callable
 from importlib.util import find_spec
 from types import TracebackType
 
@@ -35,6 +37,27 @@ def one_line(text: str) -> str:
 
 class UsageError(UsarmjxError):
     """Wrong call or description; the message names the fault and the allowed values."""
+
+
+class PlaceError(UsageError):
+    """Position where nothing can be put; the message names it in the world's axes, or in others'.
+
+    Args:
+        text: The message, with {} for the position.
+        pos: The position in the world's axes [m].
+    """
+
+    def __init__(self, text: str, pos: tuple[float, float, float]) -> None:
+        super().__init__(text, pos)
+        self._text, self._pos = text, pos
+
+    def __str__(self) -> str:
+        """Return the message in the world's axes."""
+        return self.in_axes(lambda pos: pos)
+
+    def in_axes(self, convert: Callable[[tuple[float, float, float]], tuple[float, float, float]]) -> str:
+        """Return the message with the position in other axes, to which `convert` converts."""
+        return self._text.format(",".join(f"{value:.2f}" for value in convert(self._pos)))
 
 
 class UnknownNameError(UsageError, KeyError):

@@ -17,7 +17,7 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.errors import PlaceError, SpecError, UsageError
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
@@ -226,8 +226,7 @@ class SingleWorld:
                 self.engine.place(index, *found)
                 self._homes[int(group.slots[0])] = self.engine.pose(index)
                 return
-        where = ",".join(f"{value:.2f}" for value in poses[0][0])
-        raise UsageError(f"no room for a {group.robot.name} within {SEARCH_RADIUS:g} m of {where}")
+        raise PlaceError(f"no room for a {group.robot.name} within {SEARCH_RADIUS:g} m of {{}}", poses[0][0])
 
     def move_robot(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
         """Put a robot at a pose, at rest, raised onto the floor if need be: position [m], orientation (4,).
@@ -238,8 +237,7 @@ class SingleWorld:
         model, data, index = self.engine.model, self.engine.data, self._indices[slot]
         found = free_pose(model, data, index, np.array(pos), quat, self.scene.arena.floor, 0.0)
         if found is None:
-            where = ",".join(f"{value:.2f}" for value in pos)
-            raise UsageError(f"no room for {self.roster[slot].name} at {where}")
+            raise PlaceError(f"no room for {self.roster[slot].name} at {{}}", pos)
         self.engine.place(index, *found)
         self._speeds.reset_robots([slot], data.qpos)
 

@@ -87,7 +87,7 @@ def test_a_car_that_does_not_fit_is_refused_and_nobody_else_moves_by_a_bit(caplo
     before = states(house, clients)
     car = house.connect(f"INIT {{ClassName USARBot.Sedan}} {TABLE_2}")
     assert car.robot is None
-    assert "INIT refused: no room for a Sedan within 1 m of 4.50,-1.90" in caplog.text
+    assert "INIT refused: no room for a Sedan within 1 m of 4.50,1.90" in caplog.text
     assert_same_bits(states(house, clients), before)
     for each in (house, twin):
         each.run(TICK)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.clock import wrapped_step
-from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.base.errors import PeerError, PlaceError, UsageError, UsarmjxError
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import is_name
 from usarmjx.models.compile.parts import part_name, parts_of
@@ -17,7 +17,7 @@ from usarmjx.sensors.rfid import Rfid
 from usarmjx.server.gamebots.grippers import binary_order, grip, grippers_of
 from usarmjx.server.gamebots.reporter import Reporter, battery_left, first_report_time
 from usarmjx.server.gamebots.sensors import configuration, geometry, link_joint
-from usarmjx.server.gamebots.spawning import spawn_from_init
+from usarmjx.server.gamebots.spawning import note_displacement, spawn_from_init
 from usarmjx.server.gamebots.victims import access_tag
 from usarmjx.server.gamebots.world_controller import CLASS_NAME, WorldController
 from usarmjx.server.protocol import commands as wire
@@ -78,6 +78,11 @@ def package_command(robot: RobotSpec, command: TurnCamera) -> MisPkg | None:
     turns = ((PAN_LINK, -pan), (TILT_LINK, tilt))
     links = tuple(LinkCommand(link, turn, order) for link, turn in turns if turn or not is_relative)
     return MisPkg(frame.name, links)
+
+
+def _in_wire_axes(error: UsarmjxError) -> str:
+    """Return the message of an exception with its position, if it has one, in the wire's axes."""
+    return error.in_axes(flip_wire_vector) if isinstance(error, PlaceError) else str(error)
 
 
 class Client:
@@ -181,8 +186,9 @@ class Client:
         try:
             robot = spawn_from_init(self._world, init, spec)
         except UsageError as error:
-            self.session.note_refusal(str(error))
+            self.session.note_refusal(_in_wire_axes(error))
             return False
+        note_displacement(self._world, robot, flip_wire_vector)
         self.attach_robot(robot, robot.spawn_time)
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True
@@ -498,7 +504,7 @@ class Client:
         try:
             answer = self._controller.execute(command)
         except (PeerError, UsageError) as error:
-            self.session.add_fault(f"CONTROL: {error}")
+            self.session.add_fault(f"CONTROL: {_in_wire_axes(error)}")
             return
         if answer is not None:
             self.session.send(answer)

@@ -1,5 +1,8 @@
 """Pose and name of the robot of an INIT (manual 9.4)."""
 
+import logging
+from collections.abc import Callable
+
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.robot import RobotSpec
@@ -9,6 +12,8 @@ from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.scene import start_height
+
+log = logging.getLogger(__name__)
 
 
 def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
@@ -24,6 +29,26 @@ def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
     robot = world.spawn_at(spec, init.name or free_name(world, spec), poses)
     robot.tile = tile
     return robot
+
+
+def note_displacement(
+    world: ServedWorld, robot: Robot, convert: Callable[[Vec3], Vec3] = lambda pos: pos
+) -> None:
+    """Log that a robot stands elsewhere than was asked, if it does.
+
+    Args:
+        world: The world.
+        robot: The robot.
+        convert: Converts a position to the axes of whoever asked.
+    """
+    if robot.refused is not None:
+        x, y, z = (float(value) for value in world.state(robot).pos)
+        asked, there = _text(convert(robot.refused)), _text(convert((x, y, z)))
+        log.info("%s: no room at %s: it stands at %s", robot.name, asked, there)
+
+
+def _text(pos: Vec3) -> str:
+    return ",".join(f"{value:.2f}" for value in pos)
 
 
 def free_name(world: ServedWorld, spec: RobotSpec) -> str:

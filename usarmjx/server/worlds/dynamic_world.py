@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.process import return_freed_memory
 from usarmjx.base.transforms import Vec3, quat_from_angles
@@ -121,7 +120,7 @@ class DynamicWorld(ServedWorld):
         self.robots[slot] = new
         pos = self.state(new).pos
         if not any(np.allclose(pos, wanted, atol=1e-3) for wanted, _ in poses):
-            log.info("%s: no room at %s: it stands at %s", name, _text(poses[0][0]), _text(pos))
+            new.refused = poses[0][0]
         return new
 
     def update_robot_spec(self, robot: Robot, spec: RobotSpec) -> None:
@@ -201,7 +200,3 @@ class DynamicWorld(ServedWorld):
             return compiled
         sight = self._single.sight()
         return lambda: [sight.render(scene, *view) for view in views]
-
-
-def _text(pos: Vec3 | Array) -> str:
-    return ",".join(f"{value:.2f}" for value in pos)

@@ -111,6 +111,7 @@ class Robot:
         tile: Its tile of the MultiView, -1 without one.
         controller: Dialogue that drives it in place of its client; None: its client does.
         next_report: Time of its next report [s]; infinite without a client.
+        refused: Position that it was to have and that had no room for it [m]; None: it has it.
     """
 
     slot: int
@@ -124,6 +125,7 @@ class Robot:
     tile: int = -1
     controller: object = None
     next_report: float = math.inf
+    refused: Vec3 | None = None
 
     def __post_init__(self) -> None:
         """Set its cameras to their defaults."""

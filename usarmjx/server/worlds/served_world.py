@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import PlaceError, UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, no_links
@@ -432,9 +432,8 @@ class ServedWorld(ABC):
         """Refuse positions out of reach.
 
         Raises:
-            UsageError: Names the position and the reach.
+            PlaceError: Names the position and the reach.
         """
         if not all(math.isfinite(v) and abs(v) <= MAX_COORDINATE for v in pos):
-            raise UsageError(
-                f"start position {pos} is out of reach: at most {MAX_COORDINATE} m from the origin"
-            )
+            text = f"start position {{}} is out of reach: at most {MAX_COORDINATE} m from the origin"
+            raise PlaceError(text, pos)
