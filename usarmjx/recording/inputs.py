@@ -19,7 +19,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
-from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec, LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry
@@ -133,10 +133,43 @@ class RobotRedescribed:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPlaced:
-    """Pose set for the robot of a slot of a batch: position [m] (3,) and orientation (4,)."""
+    """Pose set for the robot of a slot: position [m] (3,) and orientation (4,)."""
 
     step: int
     slot: int
+    pos: np.ndarray
+    quat: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class LooseAdded:
+    """Attempt to add a loose object to a `SINGLE` world; where something stood the attempt failed.
+
+    Attributes:
+        step: Control steps made by then.
+        thing: The object.
+        held: Whether it hangs where it is.
+    """
+
+    step: int
+    thing: LooseObject
+    held: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class LooseRemoved:
+    """Removal of the loose object of a number from a `SINGLE` world."""
+
+    step: int
+    number: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoosePlaced:
+    """Pose set for the loose object of a number: position [m] (3,) and orientation (4,)."""
+
+    step: int
+    number: int
     pos: np.ndarray
     quat: np.ndarray
 
@@ -183,7 +216,18 @@ class StepState:
     act: np.ndarray
 
 
-Input = RobotAdded | RobotRemoved | RobotRedescribed | RobotPlaced | WorldReset | OrdersGiven | Interrupted
+Input = (
+    RobotAdded
+    | RobotRemoved
+    | RobotRedescribed
+    | RobotPlaced
+    | LooseAdded
+    | LooseRemoved
+    | LoosePlaced
+    | WorldReset
+    | OrdersGiven
+    | Interrupted
+)
 """An input of a world."""
 
 

@@ -13,12 +13,16 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.engines.base import PhysicsState
+from usarmjx.models.types.arena import LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording import foxglove
 from usarmjx.recording.file import ChannelName, RecordingFile
 from usarmjx.recording.inputs import (
     Input,
     Interrupted,
+    LooseAdded,
+    LoosePlaced,
+    LooseRemoved,
     OrdersGiven,
     RobotAdded,
     RobotPlaced,
@@ -244,8 +248,20 @@ class WorldRecorder:
         self._put(RobotRedescribed(step=self.steps, slot=slot, robot=robot))
 
     def placed(self, slot: int, pos: np.ndarray, quat: np.ndarray) -> None:
-        """Record the pose set for a robot of a batch."""
+        """Record the pose set for a robot."""
         self._put(RobotPlaced(step=self.steps, slot=slot, pos=pos, quat=quat))
+
+    def adding_loose(self, thing: LooseObject, *, held: bool) -> None:
+        """Record the attempt to add a loose object."""
+        self._put(LooseAdded(step=self.steps, thing=thing, held=held))
+
+    def removed_loose(self, number: int) -> None:
+        """Record that a loose object is gone."""
+        self._put(LooseRemoved(step=self.steps, number=number))
+
+    def placed_loose(self, number: int, pos: np.ndarray, quat: np.ndarray) -> None:
+        """Record the pose set for a loose object."""
+        self._put(LoosePlaced(step=self.steps, number=number, pos=pos, quat=quat))
 
     def reset(self) -> None:
         """Record the restart of the world."""

@@ -1,6 +1,7 @@
 """Replay of recordings: the same inputs at the same steps must give the same world to the bit."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -9,10 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Vec3
 from usarmjx.recording.inputs import (
     SINGLE,
     Input,
     Interrupted,
+    LooseAdded,
+    LoosePlaced,
+    LooseRemoved,
     OrdersGiven,
     RobotAdded,
     RobotPlaced,
@@ -88,6 +93,10 @@ class _ReplayedSingle:
                 world.remove(given.slot)
             case RobotRedescribed():
                 update_robot_spec(world, given.slot, given.robot)
+            case RobotPlaced():
+                world.move_robot(given.slot, _position(given.pos), given.quat)
+            case LooseAdded() | LooseRemoved() | LoosePlaced():
+                self._change_loose(given)
             case WorldReset():
                 world.reset()
             case OrdersGiven():
@@ -96,12 +105,27 @@ class _ReplayedSingle:
             case _:
                 pass  # inputs of batches
 
+    def _change_loose(self, given: LooseAdded | LooseRemoved | LoosePlaced) -> None:
+        match given:
+            case LooseAdded():
+                with suppress(UsageError):  # there was no room in the recorded world, either
+                    self._world.add_loose(given.thing, held=given.held)
+            case LooseRemoved():
+                self._world.remove_loose(given.number)
+            case LoosePlaced():
+                self._world.move_loose(given.number, _position(given.pos), given.quat)
+
     def step(self) -> None:
         self._world.step()
 
     def state(self) -> Mapping[str, np.ndarray]:
         data = self._world.engine.data
         return {part: np.asarray(getattr(data, part)) for part in PARTS}
+
+
+def _position(pos: np.ndarray) -> Vec3:
+    x, y, z = pos.tolist()
+    return x, y, z
 
 
 def state_arrays(state: BatchState) -> list[Any]:

@@ -440,6 +440,8 @@ class Scene:
         """Return a scene with the same arena and other robots, which are behind the arena in the model."""
         other = replace(self, model=model, roster=roster, groups=groups)
         known = {name: value for name, value in vars(self).items() if name in ARENA_TABLES}
+        if model is not self.model:
+            known.pop("loose_geoms", None)  # objects that were added later are behind robots
         vars(other).update(known)  # where cached properties are kept
         return other
 

@@ -23,13 +23,21 @@ from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.engines.c.camera_rays import CCameraRays, GeomColors
 from usarmjx.engines.c.faults import RecoveryResult
-from usarmjx.engines.c.placement import SEARCH_RADIUS, free_pose
+from usarmjx.engines.c.placement import MAX_PENETRATION, SEARCH_RADIUS, deepest_contact, free_pose
 from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.engines.c.world import CWorld
-from usarmjx.models.compile.compose import add_robot, new_spec, remove_robot
+from usarmjx.models.compile.compose import (
+    LOOSE_PREFIX,
+    add_loose,
+    add_robot,
+    new_spec,
+    remove_loose,
+    remove_robot,
+)
 from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.compile.standing import sinking
 from usarmjx.models.effecters import Opcode, no_dropped_tags
+from usarmjx.models.types.arena import ArenaSpec, LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.cameras.shading import RenderScene
@@ -246,7 +254,48 @@ class SingleWorld:
         loose, data = self.scene.loose_geoms, self.engine.data
         data.qpos[loose.root_qposadr[number]] = (*pos, *quat)
         data.qvel[loose.root_dof[number]] = 0.0
+        self.engine.hold(f"{LOOSE_PREFIX}{self.scene.arena.loose[number].name}", pos, quat)
         mujoco.mj_kinematics(self.engine.model, data)
+
+    def add_loose(self, thing: LooseObject, *, held: bool) -> None:
+        """Add a loose object; the states of all others are kept to the bit.
+
+        Args:
+            thing: The object, whose name no other has.
+            held: Whether it hangs where it is; see `compose.add_loose`.
+
+        Raises:
+            PlaceError: Something is there. Nothing has changed then.
+        """
+        before, arena = self.scene.arena, self.scene.arena
+        arena = replace(arena, loose=(*arena.loose, thing))
+
+        def remove(spec: mujoco.MjSpec) -> None:
+            remove_loose(spec, thing.name)
+
+        self.engine.edit(lambda spec: add_loose(spec, thing, arena.floor, held=held), remove, arena)
+        body = self.engine.model.body(f"{LOOSE_PREFIX}{thing.name}").id
+        is_free = deepest_contact(self.engine.model, self.engine.data, body) <= MAX_PENETRATION
+        if not is_free:
+            self.engine.edit(remove, remove, before)
+        self._use_arena(arena if is_free else before)
+        if not is_free:
+            x, y, z = thing.at
+            raise PlaceError(f"no room for {thing.name} at {{}}", (x, y, z + arena.floor))
+
+    def remove_loose(self, number: int) -> None:
+        """Remove a loose object, by its number; the states of all others are kept to the bit."""
+        arena = self.scene.arena
+        name = arena.loose[number].name
+        after = replace(arena, loose=(*arena.loose[:number], *arena.loose[number + 1 :]))
+        self.engine.edit(lambda spec: remove_loose(spec, name), lambda spec: None, after)
+        self._use_arena(after)
+
+    def _use_arena(self, arena: ArenaSpec) -> None:
+        """Resolve the present model, whose arena has other loose objects now."""
+        roster, rows = self.roster, self._robot_states()
+        self.scene = replace(self.scene, arena=arena, model=self.engine.model)
+        self._regroup(roster, rows)
 
     @numpy_backend()
     def _initial_state(self, group: RobotGroup) -> GroupState:
@@ -434,6 +483,9 @@ class SingleWorld:
         Robots get idle commands and full batteries. A robot whose start pose is taken is put next to it.
         """
         self.engine.reset_all(self._indices, self._homes)
+        for thing, at in zip(self.scene.arena.loose, self.scene.loose_geoms.root_qposadr, strict=True):
+            pose = self.engine.data.qpos[at]
+            self.engine.hold(f"{LOOSE_PREFIX}{thing.name}", pose[:3], pose[3:])
         self._wraps = 0
         self.world = restart_in_place(self.scene, self.world, self.physics)
         self._speeds.reset_robots(self._indices, self.engine.data.qpos)

@@ -66,6 +66,24 @@ def free_pose(
     return None
 
 
+def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float:
+    """Return how deep a body is in others [m]; 0 if it touches none.
+
+    Args:
+        model: The world.
+        data: State of the world; not changed.
+        body: Number of the body.
+    """
+    probe = mujoco.MjData(model)
+    probe.qpos[:], probe.mocap_pos[:], probe.mocap_quat[:] = data.qpos, data.mocap_pos, data.mocap_quat
+    mujoco.mj_kinematics(model, probe)
+    mujoco.mj_collision(model, probe)
+    if not probe.ncon:
+        return 0.0
+    of_body = (model.geom_bodyid[probe.contact.geom] == body).any(-1)
+    return float(-probe.contact.dist[of_body].min(initial=0.0))
+
+
 @cache
 def _offsets(reach: float) -> list[tuple[float, float, float]]:
     """Return the offsets to try, nearest first: rings on the plane, each with all raises."""

@@ -10,11 +10,13 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.transforms import Vec3
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.c.batch import buffer_warnings
 from usarmjx.engines.c.faults import RecoveryResult, reset_all, step_and_recover
 from usarmjx.engines.c.moved_geoms import MovedBody
 from usarmjx.engines.c.rays import CRayCaster
+from usarmjx.models.compile.compose import set_weld
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.materials import materials_of
@@ -52,16 +54,23 @@ class CWorld:
         self._moved_body = MovedBody(self.model, ids) if ids else None
         self._caster: CRayCaster | None = None
 
-    def edit(self, change: Callable[[mujoco.MjSpec], None], undo: Callable[[mujoco.MjSpec], None]) -> None:
+    def edit(
+        self,
+        change: Callable[[mujoco.MjSpec], None],
+        undo: Callable[[mujoco.MjSpec], None],
+        arena: ArenaSpec | None = None,
+    ) -> None:
         """Change the description and recompile; the state of everything that stays is kept bit for bit.
 
         Args:
             change: Changes the description.
             undo: Reverts all of `change`, or the part that was done, if it or the compilation fails.
+            arena: The arena after the change; None: the same.
         """
         try:
             change(self._spec)
             self.model, self.data = self._spec.recompile(self.model, self.data)
+            self._arena = self._arena if arena is None else arena
         except Exception:
             undo(self._spec)
             self.model, self.data = self._spec.recompile(self.model, self.data)
@@ -120,6 +129,13 @@ class CWorld:
         self.data.qpos[root : root + 7] = (*pos, *quat)
         self.data.qvel[index.root_dofadr : index.root_dofadr + 6] = 0.0
         mujoco.mj_kinematics(self.model, self.data)
+
+    def hold(self, name: str, pos: Array | Vec3, quat: Array) -> None:
+        """Hold an object at another pose [m], if it is held."""
+        weld = self._spec.equality(name)
+        if weld is not None:  # the description, too: the next `edit` compiles it
+            for data in (weld.data, self.model.eq_data[self.model.equality(name).id]):
+                set_weld(data, pos, quat)
 
     def caster(self, robots: Mapping[int, RobotIndex], poses: GeomPoses | None) -> CRayCaster:
         """Return a ray caster for the current state.

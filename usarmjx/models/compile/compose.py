@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.compile.doors import door_panel
 from usarmjx.models.compile.geoms import add_geom
@@ -28,6 +29,10 @@ FLOOR_RGBA = (0.87, 0.88, 0.88, 1.0)
 """Light grey, the colour of the floor beyond its checkers in pictures."""
 ARENA_PREFIX, LOOSE_PREFIX, DOOR_PREFIX, VICTIM_PREFIX = "arena/", "loose/", "door/", "victim/"
 """Prefixes of the names of geoms: of fixed solids, loose objects, doors and victims' bones."""
+WORLD, ARENA = "world", "arena"
+"""Names of the bodies that do not move."""
+HOLD_SOLREF, HOLD_SOLIMP = (0.01, 1.0), (0.999, 0.999, 0.001, 0.5, 2.0)
+"""Stiffness of what holds an object in the air: 100 N move one of 18 kg by less than 1 mm."""
 MAX_BOX_PIECES = 512
 """Largest number of pieces of an arena's boxes, for engines that need short boxes."""
 
@@ -49,12 +54,12 @@ def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec) -> None:
         at = (0.0, 0.0, arena.floor)
         floor = Shape(kind="box", size=FLOOR_SIZE, at=at, surface="ground", rgba=FLOOR_RGBA)
         add_geom(spec, spec.worldbody, "floor", floor, kind=mujoco.mjtGeom.mjGEOM_PLANE)
-    body = spec.worldbody.add_body(name="arena", pos=[0.0, 0.0, arena.floor], mocap=True)
+    body = spec.worldbody.add_body(name=ARENA, pos=[0.0, 0.0, arena.floor], mocap=True)
     for i, shape in enumerate(arena.shapes):
         add_geom(spec, body, f"{ARENA_PREFIX}{i}", shape)
     _add_victims(spec, body, arena)
     for loose in arena.loose:
-        _add_loose(spec, loose, arena.floor)
+        add_loose(spec, loose, arena.floor)
     for door in arena.doors:
         _add_door(spec, door, arena.floor)
 
@@ -69,7 +74,15 @@ def _add_victims(spec: mujoco.MjSpec, body: mujoco.MjsBody, arena: ArenaSpec) ->
         geom.pos, geom.quat = pos[i], quat[i]
 
 
-def _add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float) -> None:
+def add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float, *, held: bool = False) -> None:
+    """Add a loose object.
+
+    Args:
+        spec: The description.
+        loose: The object.
+        floor: Height of the arena's floor [m].
+        held: Whether it hangs where it is, whatever touches it; then it does not touch floor and walls.
+    """
     x, y, z = loose.at
     name = f"{LOOSE_PREFIX}{loose.name}"
     body = spec.worldbody.add_body(name=name, pos=(x, y, z + floor), quat=quat_from_angles(*loose.rotation))
@@ -78,6 +91,31 @@ def _add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float) -> None:
         add_geom(spec, body, f"{name}/{i}", shape)
     if loose.inertia is not None:
         set_inertia(body, arena_inertia(loose.inertia), loose.shapes)
+    if held:
+        body.gravcomp = 1.0
+        weld = spec.add_equality(name=name, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
+        weld.name1, weld.name2 = WORLD, name
+        weld.solref, weld.solimp = HOLD_SOLREF, HOLD_SOLIMP
+        set_weld(weld.data, body.pos, body.quat)
+        for other in (WORLD, ARENA):
+            spec.add_exclude(bodyname1=other, bodyname2=name)
+
+
+def remove_loose(spec: mujoco.MjSpec, name: str) -> None:
+    """Remove the loose object of that name, and what holds it."""
+    body = f"{LOOSE_PREFIX}{name}"
+    for exclude in list(spec.excludes):
+        if exclude.bodyname2 == body:
+            spec.delete(exclude)
+    for weld in list(spec.equalities):
+        if weld.name == body:
+            spec.delete(weld)
+    spec.delete(spec.body(body))
+
+
+def set_weld(data: np.ndarray, pos: Array | Vec3, quat: Array) -> None:
+    """Set the numbers of a weld so that it holds an object at a pose: position [m], orientation (4,)."""
+    data[:11] = (0.0, 0.0, 0.0, *pos, *quat, 1.0)
 
 
 def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:

@@ -4,17 +4,28 @@
     CONTROL {Type GetSTA}                             STA {Name crate} {Size 0.06,0.06,-0.06} {Location ...} {Rotation ...}
     CONTROL {Type AbsMove} {Name crate} {Location 1,2,-0.1} {Rotation 0,0,1.57}
     CONTROL {Type RelMove} {Name R1} {Location 0.5,0,0}
+    CONTROL {Type Create} {ClassName WCCrate11401} {Name box} {Location 1,2,-0.1} {Physics RigidBody}
+    CONTROL {Type Kill} {Name box}, CONTROL {Type KillAll} {MinPos 0,0,-1} {MaxPos 3,3,0}
 
 Names are those of loose objects of the arena, then of robots. Keys, axes and signs are WorldController.uc's;
-the z of a size is negative there, as all lengths downward are. Nothing answers a move.
+the z of a size is negative there, as all lengths downward are. Only GetSTA is answered. What was created stays
+when its controller leaves, and Kill does not touch the arena's own objects.
 """  # noqa: E501 - an answer is one line
 
 import numpy as np
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
+from usarmjx.base.registry import is_name
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, angles_from_mat, quat_from_angles
+from usarmjx.server.gamebots.world_objects import (
+    FREE_PHYSICS,
+    MAX_OBJECTS,
+    CreatedObject,
+    class_of,
+    make_object,
+)
 from usarmjx.server.protocol.commands import Control
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, Segment, clip, four_decimals_list
@@ -24,8 +35,9 @@ from usarmjx.server.worlds.wire_pose import wire_pose
 
 CLASS_NAME = "WorldController"
 """Class that INIT names."""
-OBJECT_CLASSES = ("", "wcobject")
-"""Classes of objects that GetSTA tells of, in lower case."""
+ARENA_OBJECT = CreatedObject("", is_permanent=True)
+"""Stands for an object of the arena."""
+UNIT_SCALE: Vec3 = (1.0, 1.0, 1.0)
 _ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 
 
@@ -53,16 +65,24 @@ class WorldController:
                 self._move(command, relative=False)
             case "relmove":
                 self._move(command, relative=True)
+            case "create":
+                self._create(command)
+            case "kill":
+                self._kill(command.name)
+            case "killall":
+                self._kill_all(command.corners)
             case _:
-                raise PeerError(f"no CONTROL of type {clip(command.type)}; known: GetSTA, AbsMove, RelMove")
+                known = "GetSTA, AbsMove, RelMove, Create, Kill, KillAll"
+                raise PeerError(f"no CONTROL of type {clip(command.type)}; known: {known}")
         return None
 
     def _status(self, command: Control) -> Message:
         segments: list[Segment] = []
-        if command.class_name.rpartition(".")[2].lower() in OBJECT_CLASSES:
-            for index, thing in enumerate(self._world.scene.arena.loose):
-                if command.name.lower() in ("", thing.name.lower()):
-                    segments += self._described(index, thing.name)
+        wanted = class_of(command.class_name)
+        for index, thing in enumerate(self._world.scene.arena.loose):
+            about = self._world.created.get(thing.name.lower(), ARENA_OBJECT)
+            if about.is_of(wanted) and command.name.lower() in ("", thing.name.lower()):
+                segments += self._described(index, thing.name)
         return Message("STA", tuple(segments))
 
     def _described(self, index: int, name: str) -> list[Segment]:
@@ -95,11 +115,56 @@ class WorldController:
             low, high = np.minimum(low, middle - half), np.maximum(high, middle + half)
         return (high - low).tolist()
 
+    def _names(self) -> list[str]:
+        """Return the names of all objects in lower case, by index."""
+        return [thing.name.lower() for thing in self._world.scene.arena.loose]
+
+    def _create(self, command: Control) -> None:
+        world, key = self._world, command.name.lower()
+        if not is_name(command.name):
+            raise PeerError("Create needs a Name of one word")
+        if key in (*self._names(), *(robot.name.lower() for robot in world.robots.values())):
+            raise PeerError(f"{clip(command.name)} is here already")
+        if len(world.created) >= MAX_OBJECTS:
+            raise PeerError(f"there are {MAX_OBJECTS} objects already")
+        x, y, z = flip_wire_vector(command.location or _ORIGIN)
+        place, angles = (x, y, z - world.arena.floor), flip_wire_angles(command.rotation or _ORIGIN)
+        if command.start:
+            starts = {start.tag.lower(): start for start in world.arena.starts}
+            if command.start.lower() not in starts:
+                raise PeerError(f"no start pose {clip(command.start)}")
+            start = starts[command.start.lower()]
+            place, angles = start.at, start.angles
+        world.check_position((*place[:2], place[2] + world.arena.floor))
+        scale = command.scale if command.scale is not None and any(command.scale) else UNIT_SCALE
+        thing = make_object(command.class_name, command.name, place, angles, scale)
+        world.add_loose(thing, held=command.physics.lower() not in FREE_PHYSICS)
+        world.created[key] = CreatedObject(class_of(command.class_name), command.permanent)
+
+    def _kill(self, name: str) -> None:
+        if name.lower() not in self._world.created:
+            raise PeerError(f"no object {clip(name)} was created")
+        self._world.remove_loose(self._names().index(name.lower()))
+        del self._world.created[name.lower()]
+
+    def _kill_all(self, corners: tuple[Vec3, Vec3] | None) -> None:
+        """Remove the created objects that are not permanent: all, or those between two corners."""
+        world, poses = self._world, self._world.loose_poses()
+        ends = None if corners is None or corners[0] == corners[1] else corners
+        for name, row in zip(self._names(), poses, strict=True):
+            about = world.created.get(name, ARENA_OBJECT)
+            place = flip_wire_vector(row[:3])
+            is_inside = ends is None or all(
+                low < value < high for low, value, high in zip(ends[0], place, ends[1], strict=True)
+            )
+            if is_inside and not about.is_permanent:
+                self._kill(name)
+
     def _move(self, command: Control, *, relative: bool) -> None:
         world = self._world
         pos, angles = command.location or _ORIGIN, command.rotation or _ORIGIN
         by, turn = np.array(flip_wire_vector(pos)), np.array(flip_wire_angles(angles))
-        names = [thing.name.lower() for thing in world.scene.arena.loose]
+        names = self._names()
         robot = next((one for one in world.robots.values() if one.name.lower() == command.name.lower()), None)
         index = names.index(command.name.lower()) if command.name.lower() in names else None
         if index is None and robot is None:

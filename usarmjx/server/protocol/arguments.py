@@ -72,8 +72,10 @@ ARGUMENTS: dict[str, dict[str, Argument]] = {
         "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
     },
     "CONTROL": {
-        "Location": Argument(ArgumentKind.VECTOR, Setting(unit="m")),
+        **dict.fromkeys(("Location", "MinPos", "MaxPos"), Argument(ArgumentKind.VECTOR, Setting(unit="m"))),
         "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
+        "Scale": Argument(ArgumentKind.VECTOR, Setting()),
+        "Permanent": _TRUTH,
     },
     "SET": {},  # those of its opcodes: see `read_parameters`
     "TRACE": {"On": _TRUTH, "Interval": _SECONDS},

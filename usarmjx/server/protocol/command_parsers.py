@@ -303,7 +303,15 @@ def _control(message: Message) -> Command | Ignored:
     kind, name = message.get("Type"), message.get("Name")
     if not kind:
         return Ignored("CONTROL without a Type")
-    return Control(kind, name, message.get("ClassName"), location, rotation)
+    low, high = _vector(message.get("MinPos")), _vector(message.get("MaxPos"))
+    return Control(
+        *(kind, name, message.get("ClassName"), location, rotation),
+        start=message.get("Start"),
+        scale=_vector(message.get("Scale")),
+        physics=message.get("Physics"),
+        permanent=message.get("Permanent").lower() == "true",
+        corners=None if low is None or high is None else (low, high),
+    )
 
 
 COMMANDS.add("INIT", _init)

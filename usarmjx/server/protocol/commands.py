@@ -279,11 +279,16 @@ class Control:
     """Control the world: CONTROL of the later versions, for a world controller (WorldController.uc).
 
     Attributes:
-        type: GetSTA, AbsMove, RelMove, or anything else as sent.
+        type: GetSTA, AbsMove, RelMove, Create, Kill, KillAll, or anything else as sent.
         name: Name of an object or a robot, "" when absent.
         class_name: Class of objects, "" when absent.
         location: Position or its change in the wire's frame [m], None when not given.
         rotation: Roll, pitch and yaw or their changes [rad], None when not given.
+        start: Tag of a start pose for a new object, "" when absent.
+        scale: Factors of the lengths of a new object, None when not given.
+        physics: Physics of a new object as sent, "" when absent.
+        permanent: Whether KillAll leaves a new object.
+        corners: Lower and upper corner of what KillAll clears, in the wire's frame [m]; None for all.
     """
 
     type: str
@@ -291,6 +296,11 @@ class Control:
     class_name: str = ""
     location: Vector | None = None
     rotation: Vector | None = None
+    start: str = ""
+    scale: Vector | None = None
+    physics: str = ""
+    permanent: bool = False
+    corners: tuple[Vector, Vector] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.engines import PhysicsState
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import Opcode
-from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec, LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.sensors.cameras.picture import Picture
@@ -144,13 +144,25 @@ class DynamicWorld(ServedWorld):
         """Put a robot at a pose, at rest."""
         self._single.move_robot(robot.slot, pos, quat)
         if self.recorder is not None:
-            self.recorder.interrupted(f"{robot.name} was moved")
+            self.recorder.placed(robot.slot, np.array(pos), quat)
 
     def move_loose(self, index: int, pos: Vec3, quat: np.ndarray) -> None:
         """Put a loose object at a pose, at rest."""
         self._single.move_loose(index, pos, quat)
         if self.recorder is not None:
-            self.recorder.interrupted(f"{self.arena.loose[index].name} was moved")
+            self.recorder.placed_loose(index, np.array(pos), quat)
+
+    def add_loose(self, thing: LooseObject, *, held: bool) -> None:
+        """Add a loose object."""
+        if self.recorder is not None:
+            self.recorder.adding_loose(thing, held=held)
+        self._single.add_loose(thing, held=held)
+
+    def remove_loose(self, index: int) -> None:
+        """Remove a loose object."""
+        self._single.remove_loose(index)
+        if self.recorder is not None:
+            self.recorder.removed_loose(index)
 
     def step(self) -> None:
         """Advance by one control step; robots that diverge return to their spawn poses."""

@@ -26,7 +26,7 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics, robot_state
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import Opcode, effecters_of
-from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.arena import ArenaSpec, LooseObject, StartPose
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.recorder import WorldRecorder
@@ -36,6 +36,7 @@ from usarmjx.sensors.cameras.picture import Picture, Viewpoint, camera_viewpoint
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.suite import SensorMemory, suite_of
 from usarmjx.server.gamebots.victims import initial_tag_texts
+from usarmjx.server.gamebots.world_objects import CreatedObject
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.viewports import MultiView, ViewBindings
 from usarmjx.server.worlds.robot import Robot, Traces
@@ -147,6 +148,11 @@ class ServedWorld(ABC):
     def tag_texts(self) -> dict[int, str]:
         """Memory of RFID tags, by ID; tags that are absent are empty."""
         return initial_tag_texts(self.arena)
+
+    @cached_property
+    def created(self) -> dict[str, CreatedObject]:
+        """Objects that world controllers have created, by name in lower case."""
+        return {}
 
     @cached_property
     def recovery_log(self) -> RecoveryLog:
@@ -379,6 +385,24 @@ class ServedWorld(ABC):
         del pos, quat
         name = self.scene.arena.loose[index].name
         raise UsageError(f"{name} stays: only a single world of engine c moves things")
+
+    def add_loose(self, thing: LooseObject, *, held: bool) -> None:
+        """Add a loose object, whose name no other has.
+
+        Args:
+            thing: The object.
+            held: Whether it hangs where it is, and does not touch floor and walls.
+
+        Raises:
+            UsageError: The world cannot do that, or there is no room.
+        """
+        del held
+        raise UsageError(f"no {thing.name}: only a single world of engine c takes new objects")
+
+    def remove_loose(self, index: int) -> None:
+        """Remove a loose object of the arena, by its index; see `add_loose`."""
+        name = self.scene.arena.loose[index].name
+        raise UsageError(f"{name} stays: only a single world of engine c lets objects go")
 
     def door_angles(self) -> np.ndarray:
         """Return the angles of the arena's doors [rad] (doors,)."""
