@@ -19,7 +19,7 @@ from usarmjx.models.compile.kinematic_tree import KinematicTree
 from usarmjx.models.compile.parts import joint_names, parts_of
 from usarmjx.models.compile.servos import Servos, actuated_servos
 from usarmjx.models.drives.base import RobotState
-from usarmjx.models.drives.ground import YieldingSkidSteer
+from usarmjx.models.drives.ground import SkidSteer, YieldingSkidSteer
 from usarmjx.models.types.robot import STALL_SPEED, RobotSpec
 
 
@@ -37,9 +37,15 @@ def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Arra
     unclipped = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
     limit = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
     effort = xp.clip(unclipped, -limit, limit)
+    return effort @ _joints_of_actuators(plan)
+
+
+@cache
+def _joints_of_actuators(plan: KinematicTree) -> np.ndarray:
+    """Return 1 where an actuator moves a joint, else 0 (actuators, joints)."""
     scatter = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
     scatter[np.arange(len(plan.actuated)), plan.actuated] = 1.0
-    return effort @ scatter
+    return scatter
 
 
 class Joints(NamedTuple):
@@ -408,15 +414,21 @@ def _wrench(
     return xp.asarray(wrench, xp.float32)
 
 
+@cache
+def _wheels_of_sides(plan: KinematicTree) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joints of the left and right wheels of a skid-steered robot."""
+    drive = plan.robot.drive
+    assert isinstance(drive, SkidSteer)
+    left, right = (np.array([plan.joint_index(name) for name in names]) for names in (drive.left, drive.right))
+    return left, right
+
+
 def _tyre_wrench(plan: KinematicTree, drive: YieldingSkidSteer, setpoint: Array, state: RobotState) -> Array:
     """Return the wrench (..., 6) that makes up for sideways friction which tyres lack; none on its side.
 
     Wheels that an obstacle or a slope slows down on one side do not count: only a turn that is commanded.
     """
-    left, right = (
-        state.joint_vel[..., np.array([plan.joint_index(name) for name in names])].mean(-1)
-        for names in (drive.left, drive.right)
-    )
+    left, right = (state.joint_vel[..., wheels].mean(-1) for wheels in _wheels_of_sides(plan))
     spins = drive.targets(setpoint)
     turning, commanded = right - left, spins[..., -1] - spins[..., 0]
     least = xp.sign(turning) * xp.minimum(xp.abs(turning), MAX_TURNING * xp.abs(commanded))

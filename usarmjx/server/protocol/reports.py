@@ -164,7 +164,9 @@ def _precise(time: float | None) -> str | None:
 
 def sen_range(kind: str, time: float | None, readings: Iterable[tuple[str, float]]) -> Message:
     """Return all range sensors of one kind ("Sonar", "IR") in one line: (name, range [m])."""
-    items = [("Name", f"{check_word(name)} Range {four_decimals(value)}") for name, value in readings]
+    names, values = zip(*readings, strict=True)
+    texts = four_decimals_list(values).split(",")
+    items = [("Name", f"{check_word(name)} Range {text}") for name, text in zip(names, texts, strict=True)]
     return _sen(_precise(time), kind, *items)
 
 
