@@ -419,7 +419,9 @@ def _wheels_of_sides(plan: KinematicTree) -> tuple[np.ndarray, np.ndarray]:
     """Return the joints of the left and right wheels of a skid-steered robot."""
     drive = plan.robot.drive
     assert isinstance(drive, SkidSteer)
-    left, right = (np.array([plan.joint_index(name) for name in names]) for names in (drive.left, drive.right))
+    left, right = (
+        np.array([plan.joint_index(name) for name in names]) for names in (drive.left, drive.right)
+    )
     return left, right
 
 
