@@ -80,7 +80,7 @@ def test_a_cell_that_ends_its_workers_fails_alone(tmp_path, monkeypatch):
         keys=tuple(map(key, numbers)),
     )
     kept = {}
-    monkeypatch.setattr(run, "write_cell", lambda folder, one: kept.setdefault(one.key, one))
+    monkeypatch.setattr(run, "write_cells", lambda folder, some: kept.update((one.key, one) for one in some))
     monkeypatch.setattr(run, "read_sweep", lambda folder: SimpleNamespace(records=list(kept.values())))
     spec = read_spec({"common": {"task": "drive-to-goal"}, "product": {"seed": [0]}})
     workers = Losing()

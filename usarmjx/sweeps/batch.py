@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +50,34 @@ class CellEpisodes:
     agents: int = 0
 
 
+class StepOutcome(NamedTuple):
+    """Outcome of a step in all worlds.
+
+    Attributes:
+        done: Worlds whose episode has ended (worlds,).
+        values: Score, whether the physics went wrong, metrics by name (worlds,).
+        alive: As `EnvState.alive`.
+    """
+
+    done: jax.Array
+    values: dict[str, Any]
+    alive: tuple[jax.Array, ...] | None
+
+
+class EpisodeResults(NamedTuple):
+    """Results of the first episode of each world, on the device.
+
+    Attributes:
+        over: Whether it has ended (worlds,).
+        steps: Its length; 0 before its end (worlds,).
+        values: As `StepOutcome.values`, at its end (worlds,).
+    """
+
+    over: jax.Array
+    steps: jax.Array
+    values: dict[str, Any]
+
+
 class GroupRunner:
     """Plays batches of cells that differ in data only; all of them with what is compiled for the first.
 
@@ -74,6 +102,7 @@ class GroupRunner:
             task, size * self._episodes, name=cells[0].settings["task"], engine=engine, seed=seed
         )
         self._step = jax.jit(self._act)
+        self._note = jax.jit(self._noted)
 
     def run(self, chosen: Sequence[Resolved], tick: Tick | None = None) -> list[CellEpisodes]:
         """Play the episodes of some cells of the group.
@@ -87,7 +116,7 @@ class GroupRunner:
         """
         begun = time.perf_counter()
         cells = [*chosen, *[chosen[-1]] * (self._size - len(chosen))]
-        weights = jax.tree.map(lambda *rows: jnp.stack(rows), *[cell.driver.weights for cell in cells])
+        weights = jax.tree.map(_stacked, *[cell.driver.weights for cell in cells])
         found = self._play(cells, weights, tick or (lambda share: None))
         taken = (time.perf_counter() - begun) / len(chosen)
         agents = sum(len(group.agents) for group in self.env.groups)
@@ -123,9 +152,11 @@ class GroupRunner:
         carry: Any,  # noqa: ANN401
         obs: tuple[jax.Array, ...],
         keys: jax.Array,
+        step: jax.Array,
     ) -> tuple[Any, tuple[jax.Array, ...]]:
-        """Return carry and actions of all worlds, cell by cell."""
+        """Return carry and actions of all worlds, cell by cell, in a step of the batch."""
         shape = self._size, self._episodes
+        keys = jax.vmap(jax.random.fold_in, (0, None))(keys, step)
         apart = jax.tree.map(lambda one: one.reshape(*shape, *one.shape[1:]), obs)
 
         def of_cell(
@@ -141,19 +172,15 @@ class GroupRunner:
 
     # Worlds.
 
-    def _starts(self, cells: Sequence[Resolved]) -> EnvState:
-        """Return all worlds at the start of their episodes."""
-        numbers = jnp.arange(self._episodes)
-        keys = jnp.concatenate(
-            [
-                jax.vmap(partial(jax.random.fold_in, random.key(cell.settings["seed"])))(numbers)
-                for cell in cells
-            ]
-        )
+    def _starts(self, cells: Sequence[Resolved], keys: jax.Array) -> EnvState:
+        """Return all worlds at the start of their episodes, given the key of each cell (cells,)."""
         ranges = {
-            name: jnp.repeat(jnp.array([cell.ranges[name] for cell in cells]), self._episodes, 0)
+            name: jnp.asarray(
+                np.repeat([cell.ranges[name] for cell in cells], self._episodes, 0), jnp.float32
+            )
             for name in cells[0].ranges
         }
+        keys = _episode_keys(keys, jnp.arange(self._episodes))
         return self.env.reset_each(keys, self._arenas(cells), ranges or None)
 
     def _arenas(self, cells: Sequence[Resolved]) -> ArenaState | None:
@@ -170,34 +197,84 @@ class GroupRunner:
         assert known is not None  # as there are places
         return jax.tree.map(lambda one: jnp.asarray(one[rows]), known.states)
 
+    def _noted(
+        self,
+        results: EpisodeResults,
+        carry: Any,  # noqa: ANN401
+        begin: Any,  # noqa: ANN401
+        before: tuple[jax.Array, ...] | None,
+        now: StepOutcome,
+        step: jax.Array,
+    ) -> tuple[EpisodeResults, Any, jax.Array]:
+        """Return the results with those of a step, the carry with ended episodes reset, and if all are over.
+
+        Args:
+            results: Results before.
+            carry: Carry of the policies after the step (cells, episodes, ...).
+            begin: Carry at the start of an episode.
+            before: Robots alive before the step, as `EnvState.alive`.
+            now: Outcome of the step.
+            step: Number of steps made.
+        """
+        first = now.done & ~results.over
+        taken = jax.tree.map(partial(jnp.where, first), now.values, results.values)
+        results = EpisodeResults(
+            over=results.over | now.done, steps=jnp.where(first, step, results.steps), values=taken
+        )
+        # Not -1: a policy without memory has a carry of no numbers.
+        flat = jax.tree.map(lambda one: one.reshape(self.env.worlds, *one.shape[2:]), (begin, carry))
+        fresh = carry_of_alive(jax.tree.map(partial(select_worlds, now.done), *flat), before, now.alive)
+        carry = jax.tree.map(lambda one, old: one.reshape(old.shape), fresh, carry)
+        return results, carry, results.over.all()
+
     def _play(self, cells: Sequence[Resolved], weights: Any, tick: Tick) -> CellEpisodes:  # noqa: ANN401
         """Return the first episode of each world."""
         env = self.env
         begin = carry = self._begin(weights)
-        keys = jnp.stack([random.key(cell.settings["seed"]) for cell in cells])
-        fold = jax.jit(jax.vmap(jax.random.fold_in, (0, None)))
-        state, step = self._starts(cells), 0
-        over, bad = np.zeros(env.worlds, bool), np.zeros(env.worlds, bool)
-        scores, steps = np.zeros(env.worlds), np.zeros(env.worlds, int)
-        metrics = {name: np.zeros(env.worlds) for name in state.metrics}
-        while not over.all():
-            carry, actions = self._step(weights, carry, state.obs, fold(keys, step))
+        keys = _cell_keys(cells)
+        state, step, pending = self._starts(cells, keys), 0, None
+        values = jax.tree.map(jnp.zeros_like, _outcome(state).values)
+        none = jnp.zeros(env.worlds, bool)
+        results = EpisodeResults(over=none, steps=jnp.zeros(env.worlds, int), values=values)
+        over = False
+        while not over:
+            carry, actions = self._step(weights, carry, state.obs, keys, step)
             before, state = state, env.step(state, actions)
             step += 1
+            results, carry, ended = self._note(results, carry, begin, before.alive, _outcome(state), step)
             tick(step / env.episode_steps)
-            done = np.asarray(state.done)
-            if done.any() or state.alive is not None:
-                # Not -1: a policy without memory has a carry of no numbers.
-                flat = jax.tree.map(lambda one: one.reshape(env.worlds, *one.shape[2:]), (begin, carry))
-                fresh = jax.tree.map(partial(select_worlds, state.done), *flat)
-                fresh = carry_of_alive(fresh, before.alive, state.alive)
-                carry = jax.tree.map(lambda one, old: one.reshape(old.shape), fresh, carry)
-            if not done.any():
-                continue
-            now = done & ~over
-            over |= done
-            scores[now], steps[now] = np.asarray(state.final_score)[now], step
-            bad[now] = np.asarray(state.bad)[now]
-            for name, values in state.metrics.items():
-                metrics[name][now] = np.asarray(values)[now]
-        return CellEpisodes(scores=scores, steps=steps, bad=bad, metrics=metrics)
+            # The step before: the device computes this one while the next one is prepared.
+            over = bool(ended if pending is None or step >= env.episode_steps else pending)
+            pending = ended
+        found = jax.device_get(results)
+        return CellEpisodes(
+            scores=found.values["score"].astype(float),
+            steps=found.steps.astype(int),
+            bad=found.values["bad"],
+            metrics={name: one.astype(float) for name, one in found.values["metrics"].items()},
+        )
+
+
+def _outcome(state: EnvState) -> StepOutcome:
+    values = {"score": state.final_score, "bad": state.bad, "metrics": state.metrics}
+    return StepOutcome(done=state.done, values=values, alive=state.alive)
+
+
+def _stacked(*rows: Any) -> jax.Array:  # noqa: ANN401 - arrays
+    """Return the weights of cells as one array, which goes to the device at once."""
+    if any(isinstance(row, jax.Array) for row in rows):
+        return jnp.stack(rows)
+    return jnp.asarray(np.stack(rows))
+
+
+def _cell_keys(cells: Sequence[Resolved]) -> jax.Array:
+    """Return the key of each cell's seed (cells,)."""
+    seeds = [cell.settings["seed"] for cell in cells]
+    places = {seed: place for place, seed in enumerate(dict.fromkeys(seeds))}
+    return jnp.stack([random.key(seed) for seed in places])[np.array([places[seed] for seed in seeds])]
+
+
+@jax.jit
+def _episode_keys(keys: jax.Array, numbers: jax.Array) -> jax.Array:
+    """Return the keys of the episodes of cells, cell by cell (cells * episodes,)."""
+    return random.fold_in(keys, numbers).reshape(-1)

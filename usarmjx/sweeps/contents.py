@@ -8,6 +8,7 @@ import ast
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,22 @@ KEY_POLICIES = {name: earlier for earlier, name in EARLIER_POLICIES.items()}
 """Names of policies in keys, which are the earlier ones: results keep their keys."""
 
 
-def key_of(settings: CellSettings, cell: Resolved | None = None, known: dict[str, str] | None = None) -> str:
+@dataclass(frozen=True)
+class KnownDigests:
+    """Digests that were found before, for cells that read the same.
+
+    Attributes:
+        named: Digests of policies and named arenas, by their names.
+        robots: Teams and their digests. A team is slow to print or to hash, and fast to compare.
+    """
+
+    named: dict[str, str] = field(default_factory=dict[str, str])
+    robots: list[tuple[Sequence[str | RobotSpec], str]] = field(
+        default_factory=list[tuple[Sequence[str | RobotSpec], str]]
+    )
+
+
+def key_of(settings: CellSettings, cell: Resolved | None = None, known: KnownDigests | None = None) -> str:
     """Return the name of a cell's result: a hash of its settings and of the contents of all that it reads.
 
     Args:
@@ -47,17 +63,17 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: dict[str
     cell = resolve(settings) if cell is None else cell
     own = {name: value for name, value in settings.items() if name != "method"}
     own["policy"] = rename_policy(own["policy"], KEY_POLICIES)
-    contents = cell_contents(cell, {} if known is None else known)
+    contents = cell_contents(cell, KnownDigests() if known is None else known)
     text = json.dumps([KEY_FORMAT, own, contents], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH]
 
 
-def cell_contents(cell: Resolved, known: dict[str, str]) -> dict[str, Any]:
+def cell_contents(cell: Resolved, known: KnownDigests) -> dict[str, Any]:
     """Return digests of all that a cell reads, by what it is, and the versions of what computes it.
 
     Args:
         cell: The cell.
-        known: Digests of robots, policies and named arenas that were found before, and are now.
+        known: Digests that were found before, and are now.
 
     Raises:
         UsageError: An arena that cannot be read.
@@ -66,7 +82,7 @@ def cell_contents(cell: Resolved, known: dict[str, str]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "versions": {name: version for name, version in versions().items() if name in PACKAGES},
         "robots": _robots_digest(task.robots, known),
-        "arena": list(cell.labels) or _arena_digest(task.arena, known, len(task.robots)),
+        "arena": list(cell.labels) or _arena_digest(task.arena, known.named, len(task.robots)),
         "policy": _policy_digest(cell, known),
     }
     own = file_of(cell.settings["task"])
@@ -75,19 +91,21 @@ def cell_contents(cell: Resolved, known: dict[str, str]) -> dict[str, Any]:
     return found
 
 
-def _robots_digest(robots: Sequence[str | RobotSpec], known: dict[str, str]) -> str:
-    name = f"robots: {robots!r}"
-    if name not in known:
-        known[name] = fingerprint([spec_of(robot) for robot in robots])
-    return known[name]
+def _robots_digest(robots: Sequence[str | RobotSpec], known: KnownDigests) -> str:
+    for team, digest in known.robots:
+        if team == robots:
+            return digest
+    digest = fingerprint([spec_of(robot) for robot in robots])
+    known.robots.append((robots, digest))
+    return digest
 
 
-def _policy_digest(cell: Resolved, known: dict[str, str]) -> str:
+def _policy_digest(cell: Resolved, known: KnownDigests) -> str:
     policy = cell.settings["policy"]
     name = f"policy: {cell.settings['task']}: {policy!r}"
-    if name not in known:
-        known[name] = policy_digest(policy, cell.driver.weights)
-    return known[name]
+    if name not in known.named:
+        known.named[name] = policy_digest(policy, cell.driver.weights)
+    return known.named[name]
 
 
 def policy_digest(policy: object, weights: Any) -> str:  # noqa: ANN401 - a tree of arrays

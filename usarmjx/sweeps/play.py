@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
 
@@ -12,9 +12,10 @@ from usarmjx.base.compilation import COMPILE_EVENT_PREFIX
 from usarmjx.base.errors import UsarmjxError, quoted
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.batch import CellEpisodes, GroupRunner
-from usarmjx.sweeps.resolve import Resolved, resolve
+from usarmjx.sweeps.resolve import BASE_SETTINGS, Resolved, base_task, resolve
 from usarmjx.sweeps.spec import CellSettings
 from usarmjx.sweeps.store import CellRecord
+from usarmjx.train.envs.task import Task
 
 CompileSpan = tuple[float, float]
 """Begin and end [s]."""
@@ -164,12 +165,13 @@ def _record(key: str, settings: CellSettings, engine: str, one: CellEpisodes, co
 
 
 def resolved(settings: CellSettings) -> Resolved:
-    """Return resolved settings; repeated ones come from a cache.
+    """Return resolved settings; repeated ones come from a cache, whatever their seed.
 
     Raises:
         UsageError: See `resolve`.
     """
-    return _resolved(_Frozen(settings))
+    found = _resolved(_Frozen({name: value for name, value in settings.items() if name != "seed"}))
+    return replace(found, settings=settings)
 
 
 class _Frozen:
@@ -188,8 +190,15 @@ class _Frozen:
 def forget_resolved() -> None:
     """Forget what settings stood for: the files that they name may have changed."""
     _resolved.cache_clear()
+    _base.cache_clear()
 
 
 @lru_cache(maxsize=4096)
 def _resolved(frozen: Any) -> Resolved:  # noqa: ANN401 - a _Frozen
-    return resolve(frozen.settings)
+    own = {name: value for name, value in frozen.settings.items() if name.startswith(BASE_SETTINGS)}
+    return resolve(frozen.settings, _base(_Frozen(own)))
+
+
+@lru_cache(maxsize=256)
+def _base(frozen: Any) -> Task:  # noqa: ANN401 - a _Frozen
+    return base_task(frozen.settings)

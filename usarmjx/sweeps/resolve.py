@@ -110,23 +110,43 @@ def parts_of(settings: CellSettings, name: str) -> dict[str, Any]:
     return {key.removeprefix(start): value for key, value in settings.items() if key.startswith(start)}
 
 
-def resolve(settings: CellSettings) -> Resolved:
-    """Return the resolved settings of a cell.
+BASE_SETTINGS = ("task", "roster", "physics", f"{FIELDS}.")
+"""Settings that the base of a task depends on, by how they begin."""
+
+
+def base_task(settings: CellSettings) -> Task:
+    """Return the task of a cell with its fields, team and named physics, before its other settings.
 
     Raises:
-        UsageError: A name that is unknown, or settings that do not go together; names them.
+        UsageError: See `resolve`.
     """
     task = _with_fields(make_task(settings["task"]), settings)
     if "roster" in settings:
         task = with_roster(task, settings["roster"])
-    task, ranges = _with_parts(task, settings)
+    named = settings.get("physics", task.physics)
+    physics = PHYSICS.get(named) if isinstance(named, str) else named
+    return task if physics is task.physics else replace(task, physics=physics)
+
+
+def resolve(settings: CellSettings, base: Task | None = None) -> Resolved:
+    """Return the resolved settings of a cell.
+
+    Args:
+        settings: The settings.
+        base: Result of `base_task`; None: it is made.
+
+    Raises:
+        UsageError: A name that is unknown, or settings that do not go together; names them.
+    """
+    task = base_task(settings) if base is None else base
+    parts, ranges = _parts(task, settings)
     arenas, split, levels = _arenas(settings, task)
     if is_tuple(arenas):
         arenas = LabelledArenas(arenas=arenas, labels=_labels(arenas))
     data = isinstance(arenas, LabelledArenas)
     return Resolved(
         settings=settings,
-        task=replace(task, arena="floor" if data else arenas),
+        task=replace(task, **parts, arena="floor" if data else arenas),
         arenas=arenas.arenas if data else None,
         ranges=ranges,
         driver=find_driver(settings["policy"], settings["task"]),
@@ -189,24 +209,23 @@ def _side(name: str) -> str:
     return "tracked" if set(FLIPPERS) <= {part.name for part in robot_parts(robot)} else "wheeled"
 
 
-def _with_parts(task: Task, settings: CellSettings) -> tuple[Task, dict[str, tuple[float, float]]]:
-    """Return the task with its physics, radio and randomisation, and the ranges that are data."""
-    named = settings.get("physics", task.physics)
-    task = replace(task, physics=PHYSICS.get(named) if isinstance(named, str) else named)
+def _parts(task: Task, settings: CellSettings) -> tuple[dict[str, Any], dict[str, tuple[float, float]]]:
+    """Return the task's physics, radio and randomisation that a cell sets, and the ranges that are data."""
     radio, vary = parts_of(settings, "radio"), parts_of(settings, "vary")
     data = {f"radio_{name}": radio[name] for name in RADIO_AS_DATA if name in radio}
     if both := [name for name in data if name in vary]:
         raise UsageError(f"{both[0].replace('_', '.', 1)} and vary.{both[0]} are both given: give one")
-    given = {"physics": parts_of(settings, "physics"), "radio": radio}
-    reader, given = default_reader(), {name: own for name, own in given.items() if own}
-    task = replace(task, **reader.values(type(task), given, base=task))
     spans = {name: [value, value] if _is_number(value) else value for name, value in (data | vary).items()}
-    if not spans.keys() - {"classes"}:
-        return task, {}
-    task = replace(task, **reader.values(type(task), {"vary": spans}, base=task))
-    ranges = task.vary or DomainRandomization()
-    check_randomization(ranges, [spec_of(robot) for robot in task.robots], task.radio is not None)
-    return task, {
+    varied = bool(spans.keys() - {"classes"})
+    given = {"physics": parts_of(settings, "physics"), "radio": radio, "vary": spans if varied else {}}
+    given = {name: own for name, own in given.items() if own}
+    found = default_reader().values(type(task), given, base=task) if given else {}
+    if not varied:
+        return found, {}
+    ranges = found["vary"] or DomainRandomization()
+    radio_there = found.get("radio", task.radio) is not None
+    check_randomization(ranges, [spec_of(robot) for robot in task.robots], radio_there)
+    return found, {
         name: (float(span[0]), float(span[1]))
         for name in QUANTITY_RULES
         if (span := ranges.range_of(name)) is not None and name not in STATIC_RANGES

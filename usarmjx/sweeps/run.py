@@ -4,8 +4,8 @@ import hashlib
 import sys
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -15,11 +15,11 @@ from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.installation import install_command
 from usarmjx.base.status_line import StatusLine
 from usarmjx.engines import choose_engine
-from usarmjx.sweeps.contents import key_of
+from usarmjx.sweeps.contents import KnownDigests, key_of
 from usarmjx.sweeps.play import BatchWork, failure, forget_resolved, halves, play_batch, resolved
 from usarmjx.sweeps.resolve import signature_of
 from usarmjx.sweeps.spec import CellSettings, SweepSpec, as_text, find_spec, load_spec, read_spec
-from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
+from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cells, write_sweep
 from usarmjx.sweeps.table import scores_of
 from usarmjx.sweeps.workers import Workers
 from usarmjx.train.learning.config import on_gpu
@@ -282,7 +282,7 @@ class _Identity:
     buildings: tuple[str, ...] = ()
 
 
-def _identify(settings: CellSettings, digests: dict[str, str]) -> _Identity:
+def _identify(settings: CellSettings, digests: KnownDigests) -> _Identity:
     """Return what is known of a cell before it is played."""
     try:
         cell = resolved(settings)
@@ -326,7 +326,7 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int,
     cells: list[KeyedSettings] = []
     broken: list[CellRecord] = []
     found: list[_Identity] = []
-    known, digests = 0, dict[str, str]()
+    known, digests = 0, KnownDigests()
     forget_resolved()  # files may have changed since
     (number, count), total = part, len(spec.cells)
     mine = range((number - 1) * total // count, number * total // count)
@@ -448,38 +448,99 @@ def play_prepared(
     if prepared.cells:
         say(prepared.plan.as_text())
     progress = SweepProgress(len(prepared.cells) + len(prepared.broken), stream)
-
-    def keep(records: Sequence[CellRecord]) -> None:
-        for record in records:
-            write_cell(folder, record)
-            for sink in sinks:
-                sink(record)
-        failed = sum(record.failed is not None for record in records)
-        progress.add(len(records) - failed, failed)
-
-    keep(prepared.broken)
     works = batches_of(prepared)
     try:
-        while works:
-            suspects: list[BatchWork] = []
-            for number, records, lost in workers.run(_work(workers, progress), works):
-                if lost is not None and len(works[number].cells) > 1:
-                    suspects += halves(works[number])  # one of its cells ends workers: the others do not
-                else:
-                    keep(_lost(works[number], lost) if lost is not None else records)
-            works = suspects
+        with _Keeper(folder, progress, sinks) as keeper:
+            keeper.keep(prepared.broken)
+            while works:
+                suspects: list[BatchWork] = []
+                for number, records, lost in workers.run(_work(workers, progress, keeper), works):
+                    if lost is not None and len(works[number].cells) > 1:
+                        suspects += halves(works[number])  # one of its cells ends workers: the others do not
+                    else:
+                        keeper.keep(_lost(works[number], lost) if lost is not None else records)
+                    if workers.place != "here":
+                        keeper.settle()  # the worker plays meanwhile
+                works = suspects
     finally:
         progress.close()
     return read_sweep(folder)
 
 
-def _work(workers: Workers, progress: SweepProgress) -> Callable[[BatchWork], list[CellRecord]]:
+class _Keeper:
+    """Writes the cells of a batch while the next batch is played; a cell counts once its file is there.
+
+    Args:
+        folder: Folder of the sweep.
+        progress: Counts the cells.
+        sinks: Receive each cell.
+    """
+
+    def __init__(self, folder: Path, progress: SweepProgress, sinks: Sequence[Sink]) -> None:
+        self._folder, self._progress, self._sinks = folder, progress, sinks
+        self._writer = ThreadPoolExecutor(1)
+        self._pending: tuple[Future[None], Sequence[CellRecord]] | None = None
+        self._counted = False
+
+    def __enter__(self) -> "_Keeper":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self.settle()
+        finally:
+            self._writer.shutdown()  # what has been played is written, whatever ends the sweep
+
+    def keep(self, records: Sequence[CellRecord]) -> None:
+        """Begin to write cells.
+
+        Raises:
+            WriteError: Cells before these could not be written.
+        """
+        self.settle()
+        self._pending = self._writer.submit(write_cells, self._folder, records), records
+
+    def count(self) -> None:
+        """Count the cells whose files are there, without waiting for any; a failure waits for `settle`."""
+        if self._pending is None or self._counted:
+            return
+        written, records = self._pending
+        if written.done() and written.exception() is None:
+            failed = sum(record.failed is not None for record in records)
+            self._progress.add(len(records) - failed, failed)
+            self._counted = True
+
+    def settle(self) -> None:
+        """Wait for the files that are being written, count their cells, and pass them on.
+
+        Raises:
+            WriteError: A cell could not be written.
+        """
+        if self._pending is None:
+            return
+        written, records = self._pending
+        written.result()
+        self.count()
+        self._pending, self._counted = None, False
+        for record in records:
+            for sink in self._sinks:
+                sink(record)
+
+
+def _work(
+    workers: Workers, progress: SweepProgress, keeper: _Keeper
+) -> Callable[[BatchWork], list[CellRecord]]:
     """Return the function that plays a batch and reports its progress."""
     if workers.place != "here":
         return play_batch
 
     def play(work: BatchWork) -> list[CellRecord]:
-        return play_batch(work, partial(progress.within, len(work.cells)))
+        def watch(share: float) -> None:
+            keeper.count()
+            progress.within(len(work.cells), share)
+
+        return play_batch(work, watch)
 
     return play
 
