@@ -14,7 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.sweeps.analysis import axis_rows, front_points, overall_rows, policy_differences
 from usarmjx.sweeps.report import compare, report
-from usarmjx.sweeps.run import SweepProgress, tensorboard_sink, wandb_sink
+from usarmjx.sweeps.run import tensorboard_sink, wandb_sink
 from usarmjx.sweeps.store import CellRecord, read_sweep, write_cell, write_sweep
 from usarmjx.sweeps.table import export_rows
 
@@ -170,22 +170,6 @@ def test_cells_are_shown_to_tensorboard_and_to_weights_and_biases(tmp_path, monk
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(UsageError, match="pip install wandb"):
         wandb_sink("robots", "some")
-
-
-def test_progress_is_one_line_now_and_then_with_an_estimate(monkeypatch):
-    said, now = [], [0.0]
-    monkeypatch.setattr("usarmjx.sweeps.run.time.monotonic", lambda: now[0])
-    stream = types.SimpleNamespace(write=said.append, flush=lambda: None, isatty=lambda: False)
-    progress = SweepProgress(100, stream)
-    for second in range(1, 31):
-        now[0] = float(second)
-        progress.within(10, 0.5)
-    progress.add(20, 5)
-    now[0] = 100.0
-    progress.add(0, 0)
-    assert len(said) == 4, "every 10 s where there is no terminal"
-    assert said[0] == "usarmjx: 0 of 100 cells, 10 s\n", "no estimate before a batch is played"
-    assert said[3] == "usarmjx: 25 of 100 cells, 5 failed, 2 min, about 5 min left\n"
 
 
 def test_the_command_line_refuses_in_one_line(tmp_path):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from usarmjx.base.errors import WriteError
 from usarmjx.sweeps import play, run
 from usarmjx.sweeps.play import BatchWork, failure
 from usarmjx.sweeps.run import CellGroup, Prepared, SweepPlan, play_prepared
@@ -56,6 +57,7 @@ class Losing:
     """Workers that are lost with each batch that has the bad cell."""
 
     place: str = "processes"
+    count: int = 1
     lost: list = field(default_factory=list)
 
     def run(self, work, pieces):
@@ -90,3 +92,37 @@ def test_a_cell_that_ends_its_workers_fails_alone(tmp_path, monkeypatch):
     assert workers.lost == [50, 25, 13, 6, 3, 1]
     reason = failure(key(BAD), {"seed": BAD}, "its worker was lost 3 times").failed
     assert kept[key(BAD)].failed == reason
+
+
+def test_a_full_disk_ends_a_sweep_and_breaks_no_cell(tmp_path, monkeypatch):
+    """The first batch cannot be written; that comes to light while the second one is played."""
+    numbers, played = tuple(range(4)), []
+    group = CellGroup(cells=numbers, batches=(numbers[:2], numbers[2:]), size=2)
+    prepared = Prepared(
+        cells=work_of(numbers).cells,
+        known=0,
+        broken=(),
+        engine=("c",) * 4,
+        buildings=((),) * 4,
+        plan=SweepPlan(groups=(group,), differing={}),
+        keys=tuple(map(key, numbers)),
+    )
+
+    def full(folder, records):
+        raise WriteError("no space")
+
+    def play_batch(work, watch):
+        for share in (0.5, 1.0):
+            watch(share)
+        played.append(len(work.cells))
+        return [record(*cell) for cell in work.cells]
+
+    monkeypatch.setattr(run, "write_cells", full)
+    monkeypatch.setattr(run, "play_batch", play_batch)
+    seen = []
+    spec = read_spec({"common": {"task": "drive-to-goal"}, "product": {"seed": [0]}})
+    with pytest.raises(WriteError, match="no space"):
+        play_prepared(spec, tmp_path, prepared, sinks=[seen.append])
+    assert (played, seen) == ([2, 2], []), (
+        "no half is tried again, and nobody hears of a cell that is not kept"
+    )

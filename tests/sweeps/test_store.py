@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.base.settings import yaml_file
 from usarmjx.sweeps.spec import load_spec
-from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, write_sweep
+from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, write_cells, write_sweep
 
 RECORD = CellRecord(
     key="1f",
@@ -127,3 +127,18 @@ def test_cells_of_two_clusters_are_merged_by_copying_them(tmp_path, caplog):
     shutil.copytree(tmp_path / "two" / "cells", tmp_path / "one" / "cells", dirs_exist_ok=True)
     assert [record.key for record in read_sweep(tmp_path / "one").records] == ["0", "1"]
     assert not caplog.messages
+
+
+def test_cells_that_are_written_together_are_all_whole(tmp_path):
+    records = [replace(RECORD, key=str(number), seconds=float(number)) for number in range(40)]
+    write_cells(tmp_path, records)
+    assert [read_cell(tmp_path, record.key) for record in records] == records
+    assert len(list((tmp_path / "cells").iterdir())) == 40, "no file is left half written"
+
+
+def test_a_cell_that_cannot_be_written_stops_no_other(tmp_path):
+    (tmp_path / "cells" / "7.json" / "in the way").mkdir(parents=True)
+    records = [replace(RECORD, key=str(number)) for number in range(20)]
+    with pytest.raises(WriteError, match="7.json"):
+        write_cells(tmp_path, records)
+    assert [one.key for one in records if read_cell(tmp_path, one.key) is None] == ["7"]

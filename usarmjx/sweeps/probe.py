@@ -11,8 +11,8 @@ import jax
 
 from usarmjx.sweeps.batch import GroupRunner
 from usarmjx.sweeps.play import BatchWork, resolved
+from usarmjx.sweeps.progress import duration_text
 from usarmjx.sweeps.resolve import Resolved
-from usarmjx.sweeps.run import duration_text
 
 STEPS = 8
 """Control steps that are timed after the first one, which compiles."""

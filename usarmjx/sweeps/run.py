@@ -2,7 +2,6 @@
 
 import hashlib
 import sys
-import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,15 +12,15 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.installation import install_command
-from usarmjx.base.status_line import StatusLine
 from usarmjx.engines import choose_engine
 from usarmjx.sweeps.contents import KnownDigests, key_of
 from usarmjx.sweeps.play import BatchWork, failure, forget_resolved, halves, play_batch, resolved
+from usarmjx.sweeps.progress import SweepProgress
 from usarmjx.sweeps.resolve import signature_of
 from usarmjx.sweeps.spec import CellSettings, SweepSpec, as_text, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cells, write_sweep
 from usarmjx.sweeps.table import scores_of
-from usarmjx.sweeps.workers import Workers
+from usarmjx.sweeps.workers import Workers, gpus
 from usarmjx.train.learning.config import on_gpu
 from usarmjx.train.learning.metrics import find_wandb
 
@@ -113,62 +112,6 @@ def plan_batches(
     return SweepPlan(
         groups=tuple(groups), differing={name: count for name, count in kinds.items() if count > 1}
     )
-
-
-INTERVAL = 10.0
-"""Interval of progress lines without a terminal [s]."""
-TERMINAL_INTERVAL = 0.2
-
-
-class SweepProgress:
-    """Says how far a sweep is.
-
-    Args:
-        cells: Number to be played.
-        stream: Stream to write to; None: none.
-    """
-
-    def __init__(self, cells: int, stream: TextIO | None = None) -> None:
-        self.cells = cells
-        self._status = None if stream is None else StatusLine(stream)
-        self._begun = self._last = time.monotonic()
-        self.done = self.failed = 0
-
-    def within(self, batch: int, share: float) -> None:
-        """Report that a share of a batch of cells is played."""
-        self._say(self.done + batch * min(share, 1.0))
-
-    def add(self, done: int, failed: int) -> None:
-        """Count cells that have a result, and cells that have failed."""
-        self.done, self.failed = self.done + done + failed, self.failed + failed
-        self._say(float(self.done))
-
-    def _say(self, done: float) -> None:
-        now = time.monotonic()
-        if self._status is None:
-            return
-        if now - self._last >= (TERMINAL_INTERVAL if self._status.terminal else INTERVAL):
-            self._last = now
-            self._status.show(self.line(done, now - self._begun))
-
-    def line(self, done: float, seconds: float) -> str:
-        """Return the line after a number of cells and seconds."""
-        failed = f", {self.failed} failed" if self.failed else ""
-        left = f", about {duration_text((self.cells - done) * seconds / done)} left" if self.done > 0 else ""
-        return f"usarmjx: {self.done} of {self.cells} cells{failed}, {duration_text(seconds)}{left}"
-
-    def close(self) -> None:
-        """Clear the line: other output follows."""
-        if self._status is not None:
-            self._status.clear()
-
-
-def duration_text(seconds: float) -> str:
-    """Return a time in seconds, minutes or hours."""
-    whole = round(seconds)
-    if whole < 100:
-        return f"{whole} s"
-    return f"{round(whole / 60)} min" if whole < 6000 else f"{whole / 3600:.1f} h"
 
 
 def usual_stream() -> TextIO:
@@ -447,18 +390,24 @@ def play_prepared(
         say(f"{prepared.known} of {len(spec.cells)} cells are there already")
     if prepared.cells:
         say(prepared.plan.as_text())
-    progress = SweepProgress(len(prepared.cells) + len(prepared.broken), stream)
     works = batches_of(prepared)
+    progress = SweepProgress(
+        len(prepared.cells) + len(prepared.broken),
+        stream,
+        compilations=len({work.group for work in works}),
+        workers=1 if workers.place == "here" else workers.count or max(1, gpus()),
+    )
     try:
         with _Keeper(folder, progress, sinks) as keeper:
-            keeper.keep(prepared.broken)
+            keeper.keep(prepared.broken, "")
             while works:
                 suspects: list[BatchWork] = []
                 for number, records, lost in workers.run(_work(workers, progress, keeper), works):
                     if lost is not None and len(works[number].cells) > 1:
                         suspects += halves(works[number])  # one of its cells ends workers: the others do not
                     else:
-                        keeper.keep(_lost(works[number], lost) if lost is not None else records)
+                        there = _lost(works[number], lost) if lost is not None else records
+                        keeper.keep(there, works[number].group)
                     if workers.place != "here":
                         keeper.settle()  # the worker plays meanwhile
                 works = suspects
@@ -479,7 +428,7 @@ class _Keeper:
     def __init__(self, folder: Path, progress: SweepProgress, sinks: Sequence[Sink]) -> None:
         self._folder, self._progress, self._sinks = folder, progress, sinks
         self._writer = ThreadPoolExecutor(1)
-        self._pending: tuple[Future[None], Sequence[CellRecord]] | None = None
+        self._pending: tuple[Future[None], Sequence[CellRecord], str] | None = None
         self._counted = False
 
     def __enter__(self) -> "_Keeper":
@@ -492,23 +441,24 @@ class _Keeper:
         finally:
             self._writer.shutdown()  # what has been played is written, whatever ends the sweep
 
-    def keep(self, records: Sequence[CellRecord]) -> None:
-        """Begin to write cells.
+    def keep(self, records: Sequence[CellRecord], group: str) -> None:
+        """Begin to write cells of a group.
 
         Raises:
             WriteError: Cells before these could not be written.
         """
         self.settle()
-        self._pending = self._writer.submit(write_cells, self._folder, records), records
+        self._pending = self._writer.submit(write_cells, self._folder, records), records, group
 
     def count(self) -> None:
         """Count the cells whose files are there, without waiting for any; a failure waits for `settle`."""
         if self._pending is None or self._counted:
             return
-        written, records = self._pending
+        written, records, group = self._pending
         if written.done() and written.exception() is None:
             failed = sum(record.failed is not None for record in records)
-            self._progress.add(len(records) - failed, failed)
+            compiling = sum(record.compile_seconds for record in records)
+            self._progress.add(len(records) - failed, failed, group, compiling)
             self._counted = True
 
     def settle(self) -> None:
@@ -519,7 +469,7 @@ class _Keeper:
         """
         if self._pending is None:
             return
-        written, records = self._pending
+        written, records, _ = self._pending
         written.result()
         self.count()
         self._pending, self._counted = None, False
@@ -540,6 +490,7 @@ def _work(
             keeper.count()
             progress.within(len(work.cells), share)
 
+        progress.begin(work.group)
         return play_batch(work, watch)
 
     return play
