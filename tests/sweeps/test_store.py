@@ -132,13 +132,14 @@ def test_cells_of_two_clusters_are_merged_by_copying_them(tmp_path, caplog):
 def test_cells_that_are_written_together_are_all_whole(tmp_path):
     records = [replace(RECORD, key=str(number), seconds=float(number)) for number in range(40)]
     write_cells(tmp_path, records)
-    assert [read_cell(tmp_path, record.key) for record in records] == records
+    read = [read_cell(tmp_path, record.key) for record in records]
+    assert list(map(repr, read)) == list(map(repr, records)), "by their texts, as one number is none"
     assert len(list((tmp_path / "cells").iterdir())) == 40, "no file is left half written"
 
 
 def test_a_cell_that_cannot_be_written_stops_no_other(tmp_path):
     (tmp_path / "cells" / "7.json" / "in the way").mkdir(parents=True)
     records = [replace(RECORD, key=str(number)) for number in range(20)]
-    with pytest.raises(WriteError, match="7.json"):
+    with pytest.raises(WriteError, match=r"7\.json"):
         write_cells(tmp_path, records)
     assert [one.key for one in records if read_cell(tmp_path, one.key) is None] == ["7"]
