@@ -118,7 +118,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
         source.policy(env)  # which refuses other robots
         return learned.as_policy(weights)
 
-    shape = ("trained", learned.groups, learned.layers, learned.memory)
+    shape = ("trained", learned.groups, learned.layers, learned.memory, learned.kind)
     return CellDriver(shape=shape, make=make, weights=weights, source=source)
 
 

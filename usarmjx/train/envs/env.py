@@ -419,7 +419,8 @@ class Env:
         ):
             group = scene.groups[number]
             names = tuple(scene.roster[int(slot)].name or f"{group.robot.name}{slot}" for slot in group.slots)
-            groups.append(AgentGroup(group.robot.name, names, obs.shape[-1], actions, task.discrete))
+            known = (names, obs.shape[-1], actions, task.discrete, task.layout(scene))
+            groups.append(AgentGroup(group.robot.name, *known))
         return tuple(groups)
 
     def _library_at(self, library: ArenaState, level: jax.Array) -> ArenaState:

@@ -9,6 +9,7 @@ from flax import struct
 
 from usarmjx.sim.batch import BatchState
 from usarmjx.sim.world import World
+from usarmjx.train.envs.layout import ObservationLayout
 
 Memory: TypeAlias = Any
 """A task's own state within an episode: any tree of arrays; only the task knows what is in it."""
@@ -25,6 +26,7 @@ class AgentGroup:
         action_size: Numbers in an action, each from -1 to 1.
         discrete: Whether the greatest number of an action is a choice. The last numbers of an observation
             then say which choices there are (1, else 0), as many as an action has.
+        layout: Parts of an observation; None: they are not known, and networks of sets cannot read it.
     """
 
     name: str
@@ -32,6 +34,7 @@ class AgentGroup:
     obs_size: int
     action_size: int
     discrete: bool = False
+    layout: ObservationLayout | None = None
 
     @property
     def outputs(self) -> int:

@@ -33,6 +33,7 @@ from usarmjx.sim.radio import mailboxes
 from usarmjx.sim.ray_geometry import start_poses, victims_of
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.world import Stream, World, clock_of, episode_key, robot_states
+from usarmjx.train.envs.layout import ObservationLayout
 from usarmjx.train.envs.presence import Presence
 from usarmjx.train.envs.recipe import (
     SPARE_ROOM,
@@ -291,6 +292,11 @@ class Task(ABC):
     def discrete(self) -> bool:
         """Whether actions are choices, see `AgentGroup.discrete`; by default they are not."""
         return False
+
+    def layout(self, scene: Scene) -> ObservationLayout | None:
+        """Return the parts of an observation, see `AgentGroup.layout`; by default they are not known."""
+        del scene
+        return None
 
     def decide(self, view: TaskView, memory: Memory, actions: tuple[jax.Array, ...]) -> Memory:
         """Return the task's memory of actions, before `act`; by default nothing of them.

@@ -178,6 +178,10 @@ class Config:
         value_coef: Weight of the critic's loss.
         max_grad_norm: Norm that longer gradients are cut to.
         reward_scale: Factor on rewards.
+        network: Kind of the networks. `mlp`: layers over all numbers; `set`, of robots that choose: one layer
+            for all choices, then rounds of attention between choices and other robots; `cnn`: as `set`, and
+            convolutions over the picture of maps. Of the last two the hidden sizes are the width of the first
+            layer, then of each round.
         hidden_sizes: Widths of the policy's hidden layers.
         critic_hidden_sizes: Widths of the critic's hidden layers.
         gru_size: Units of the GRU behind the hidden layers of policy and critic; 0: no memory.
@@ -221,6 +225,7 @@ class Config:
     value_coef: Annotated[float, Setting(aliases=("value",))] = 0.5
     max_grad_norm: Annotated[float, Setting(gt=0, aliases=("max_gradient",))] = 1.0
     reward_scale: Annotated[float, Setting(gt=0)] = 1.0
+    network: Annotated[str, Setting(choices=("mlp", "set", "cnn"))] = "mlp"
     hidden_sizes: Annotated[tuple[int, ...], Setting(ge=1, min_length=1, aliases=("layers",))] = (64, 64)
     critic_hidden_sizes: Annotated[
         tuple[int, ...], Setting(ge=1, min_length=1, aliases=("critic_layers",))
@@ -250,6 +255,8 @@ class Config:
         """Return the fault of settings that do not go together, in words; empty: there is none."""
         if self.num_worlds % self.num_minibatches:
             return f"{self.num_worlds} worlds cannot be divided into {self.num_minibatches} minibatches"
+        if self.network != "mlp" and (self.gru_size or self.shared_policy):
+            return f"network is {self.network}, which has no gru_size and no shared_policy"
         if self.gru_size and self.action_repeat > 1:
             return (
                 f"gru_size is {self.gru_size}, but a memory needs action_repeat 1, not {self.action_repeat}"

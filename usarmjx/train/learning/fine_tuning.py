@@ -17,7 +17,7 @@ from usarmjx.train.learning.run_record import RunRecord
 from usarmjx.train.learning.train_state import Networks, TrainState
 
 SHAPE_SETTINGS = (
-    *("hidden_sizes", "critic_hidden_sizes", "gru_size", "shared_policy"),
+    *("hidden_sizes", "critic_hidden_sizes", "gru_size", "shared_policy", "network"),
     *("normalize_obs", "normalize_values"),
 )
 """Settings that shape networks: those of the source are the defaults of the new run."""
@@ -81,6 +81,7 @@ class TrainedNetworks:
             "critic_hidden_sizes": (self.networks.critic_layers, networks.critic_layers),
             "gru_size": (self.networks.policy.memory, networks.policy.memory),
             "shared_policy": (self.networks.shared, networks.shared),
+            "network": (self.networks.policy.kind, networks.policy.kind),
         }
         if off := [f"{what}: {old} -> {new}" for what, (old, new) in pairs.items() if old != new]:
             raise UsageError(f"networks of {self.run} do not fit: {'; '.join(off)}")

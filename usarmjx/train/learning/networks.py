@@ -15,8 +15,10 @@ from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.envs.env import AgentGroup
+from usarmjx.train.envs.layout import ObservationLayout
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.choices import ChoiceDistribution, mask_logits
+from usarmjx.train.learning.set_network import SetNetwork, shared_scale
 from usarmjx.train.learning.statistics import normalise
 
 if TYPE_CHECKING:
@@ -227,8 +229,11 @@ def _param(module: Any, name: str, init: Any, shape: tuple[int, ...]) -> jax.Arr
     return module.param(name, init, shape)  # which flax leaves without types
 
 
+AnyNetwork: TypeAlias = Network | SetNetwork
+
+
 def apply_network(
-    network: Network,
+    network: AnyNetwork,
     params: Params,
     seen: jax.Array,
     shared: jax.Array | None,
@@ -262,16 +267,51 @@ class LearnedPolicy:
         groups: The agents.
         layers: Widths of the hidden layers.
         memory: Units of memory of each robot; 0: none.
+        kind: Kind of the networks, see `Config.network`.
     """
 
     groups: tuple[AgentGroup, ...]
     layers: tuple[int, ...]
     memory: int = 0
+    kind: str = "mlp"
 
-    def network(self, group: int) -> Network:
+    def check(self) -> None:
+        """Refuse observations that networks of this kind cannot read.
+
+        Raises:
+            UsageError: Says what is missing.
+        """
+        for group in self.groups if self.kind != "mlp" else ():
+            layout = group.layout
+            if layout is None or not group.discrete:
+                raise UsageError(f"network is {self.kind}, but {group.name} chooses of no set: use mlp")
+            if problem := layout.misfit(group.obs_size, group.action_size):
+                raise UsageError(f"network is {self.kind}, but of {group.name} {problem}")
+            if self.kind == "cnn" and not layout.picture_size.size:
+                raise UsageError(
+                    f"network is cnn, but {group.name} sees no picture: set observed=map, or network=set"
+                )
+
+    def layout(self, group: int) -> ObservationLayout | None:
+        """Return the layout that a group's network reads; None: it takes all numbers alike."""
+        return None if self.kind == "mlp" else self.groups[group].layout
+
+    def network(self, group: int) -> AnyNetwork:
         """Return the network of a group."""
-        outputs = self.groups[group].outputs
-        return Network(self.layers, self.memory, outputs, scale=POLICY_HEAD_SCALE)
+        outputs, layout = self.groups[group].outputs, self.layout(group)
+        if layout is None:
+            return Network(self.layers, self.memory, outputs, scale=POLICY_HEAD_SCALE)
+        sees = self.kind == "cnn"
+        return SetNetwork(self.layers, outputs, layout, chooses=True, sees=sees, scale=POLICY_HEAD_SCALE)
+
+    def scale(self, group: int, mean: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return mean and deviation that a group's observations are shifted and scaled by (obs_size,)."""
+        layout = self.layout(group)
+        return (mean, std) if layout is None else shared_scale(layout, mean, std)
+
+    def normalised(self, group: int, mean: jax.Array, std: jax.Array, seen: jax.Array) -> jax.Array:
+        """Return a group's observations (..., obs_size) shifted and scaled."""
+        return normalise(*self.scale(group, mean, std), seen)
 
     def distribution(self, group: int) -> "Distribution":
         """Return the family of distributions that a group's actions are drawn from."""
@@ -308,7 +348,7 @@ class LearnedPolicy:
         """Return parameters of the actions' distributions (worlds, robots, outputs), and the carry."""
         found: list[tuple[jax.Array, jax.Array]] = []
         for g, seen in enumerate(obs):
-            x = normalise(params.mean[g], params.std[g], seen)[None]
+            x = self.normalised(g, params.mean[g], params.std[g], seen)[None]
             is_first = jnp.zeros((1, len(seen)), bool)
             out, after = apply_network(self.network(g), params.weights[g], x, None, carry[g], is_first)
             found.append((self.masked(g, out[0], seen), after))
@@ -398,7 +438,7 @@ def fold_all(keys: jax.Array, number: int) -> jax.Array:
     return jax.vmap(fold)(keys)
 
 
-def init_network(network: Network, key: jax.Array, group: AgentGroup, shared: int | None) -> Params:
+def init_network(network: AnyNetwork, key: jax.Array, group: AgentGroup, shared: int | None) -> Params:
     """Return weights to begin with, for a group's observations and `shared` numbers besides."""
     robots, module = len(group.agents), cast(Any, network)  # flax types no arguments
     return module.init(

@@ -19,7 +19,7 @@ from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import imitation_loss
 from usarmjx.train.learning.networks import apply_network, fold_all, fold_each
 from usarmjx.train.learning.processes import PROCESS_AXIS
-from usarmjx.train.learning.statistics import normalise, update_statistics
+from usarmjx.train.learning.statistics import update_statistics
 from usarmjx.train.learning.train_state import (
     ActorCriticParams,
     Networks,
@@ -175,7 +175,8 @@ def loss(
     sums: dict[str, Any] = {}
     imitating, policies = networks.is_imitating(train_state, config), weights.group_policies
     for g, raw in enumerate(steps.raw_action):
-        obs = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, steps.obs[g])
+        scale = train_state.obs_statistics[g]
+        obs = networks.policy.normalised(g, scale.mean, scale.std, steps.obs[g])
         logits, _ = apply_network(
             networks.policy.network(g), policies[g], obs, None, ends.policy_carry[g], starts[g]
         )

@@ -114,7 +114,8 @@ def make_record(
         engine=origin.engine,
         overrides=origin.overrides,
         groups=tuple(
-            AgentGroup(g.name, tuple(g.agents), g.obs_size, g.action_size, g.discrete) for g in env.groups
+            AgentGroup(g.name, tuple(g.agents), g.obs_size, g.action_size, g.discrete, g.layout)
+            for g in env.groups
         ),
         privileged_size=env.privileged_size,
         episode_steps=env.episode_steps,

@@ -15,6 +15,7 @@ from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.networks import (
+    AnyNetwork,
     LearnedPolicy,
     Network,
     Params,
@@ -22,6 +23,7 @@ from usarmjx.train.learning.networks import (
     apply_network,
     init_network,
 )
+from usarmjx.train.learning.set_network import SetNetwork
 from usarmjx.train.learning.statistics import Statistics, init_statistics, normalise
 
 with extra("train"):
@@ -101,10 +103,13 @@ class Networks:
         """The agents."""
         return self.policy.groups
 
-    def critic(self, group: int) -> Network:
+    def critic(self, group: int) -> AnyNetwork:
         """Return the critic of a group, which knows its robots apart."""
-        robots = len(self.groups[group].agents)
-        return Network(self.critic_layers, self.policy.memory, 1, robots=robots)
+        robots, layout = len(self.groups[group].agents), self.policy.layout(group)
+        if layout is None:
+            return Network(self.critic_layers, self.policy.memory, 1, robots=robots)
+        sees = self.policy.kind == "cnn"
+        return SetNetwork(self.critic_layers, 1, layout, chooses=False, sees=sees, robots=robots)
 
     @property
     def agent_count(self) -> int:
@@ -134,12 +139,14 @@ def make_networks(groups: tuple[AgentGroup, ...], privileged_size: int, config: 
     """Return the networks for some agents.
 
     Raises:
-        UsageError: They are to share a policy, but what they see or do differs in size.
+        UsageError: They are to share a policy, but what they see or do differs in size; or observations have
+            no layout, which the network reads.
     """
     if config.shared_policy and len({(group.obs_size, group.action_size) for group in groups}) > 1:
         sizes = ", ".join(f"{one.name} sees {one.obs_size} and does {one.action_size}" for one in groups)
         raise UsageError(f"these cannot share a policy, they see and do different numbers: {sizes}")
-    policy = LearnedPolicy(groups, config.hidden_sizes, config.gru_size)
+    policy = LearnedPolicy(groups, config.hidden_sizes, config.gru_size, config.network)
+    policy.check()
     return Networks(policy, config.critic_hidden_sizes, privileged_size, shared=config.shared_policy)
 
 
@@ -215,7 +222,8 @@ def critic_values(
     )
     found: list[tuple[jax.Array, jax.Array]] = []
     for g, rows in enumerate(obs):
-        x = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, rows)
+        scale = train_state.obs_statistics[g]
+        x = networks.policy.normalised(g, scale.mean, scale.std, rows)
         params = train_state.params.critic[g]
         value, after = apply_network(networks.critic(g), params, x, shared, carry[g], is_first[g])
         found.append((value[..., 0], after))

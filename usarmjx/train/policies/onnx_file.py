@@ -1,6 +1,7 @@
 """Policies as ONNX models, for ONNX Runtime and what else reads them."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from usarmjx.base.errors import extra
 from usarmjx.base.files import atomic_write
 from usarmjx.train.policies.policy_file import INVALID
+from usarmjx.train.policies.set_forward import MASKED, Weights, set_outputs
 
 if TYPE_CHECKING:
     from usarmjx.train.policies.policy_file import NumpyPolicy
@@ -59,6 +61,59 @@ class _Graph:
         self.outputs.append((name, width))
 
 
+class _GraphOperations:
+    """Operations on arrays of a graph by their names, see `set_forward.Operations`."""
+
+    def __init__(self, graph: _Graph) -> None:
+        self.graph = graph
+
+    def _whole(self, *values: int) -> str:
+        return self.graph.add("Constant", value_ints=list(values))
+
+    def slice(self, x: str, axis: int, first: int, end: int) -> str:
+        return self.graph.add("Slice", x, self._whole(first), self._whole(end), self._whole(axis))
+
+    def shape(self, x: str, replaced: int, tail: Sequence[int]) -> str:
+        del replaced  # one axis stands before them, over robots
+        return self.graph.add("Reshape", x, self._whole(-1, *tail))
+
+    def product(self, x: str, y: str) -> str:
+        return self.graph.add("MatMul", x, y)
+
+    def constant(self, value: Any) -> str:  # noqa: ANN401 - whatever NumPy takes
+        return self.graph.constant(value)
+
+    def plus(self, x: str, y: str) -> str:
+        return self.graph.add("Add", x, y)
+
+    def elu(self, x: str) -> str:
+        return self.graph.add("Elu", x)
+
+    def turned(self, x: str) -> str:
+        return self.graph.add("Transpose", x, perm=[0, 2, 1])
+
+    def softmax(self, x: str) -> str:
+        return self.graph.add("Softmax", x, axis=-1)
+
+    def hidden(self, there: str) -> str:
+        above = self.graph.add("Greater", there, self.graph.constant(0.5))
+        return self.graph.add("Where", above, self.graph.constant(0.0), self.graph.constant(MASKED))
+
+    def joined(self, parts: Sequence[str], axis: int) -> str:
+        return self.graph.add("Concat", *parts, axis=axis)
+
+    def halved(self, x: str, layer: Weights) -> str:
+        first = self.graph.add("Transpose", x, perm=[0, 3, 1, 2])
+        kernel = self.graph.constant(np.transpose(layer["kernel"], (3, 2, 0, 1)))
+        found = self.graph.add(
+            "Conv", first, kernel, self.graph.constant(layer["bias"]), strides=[2, 2], pads=[1, 1, 1, 1]
+        )
+        return self.graph.add("Transpose", found, perm=[0, 2, 3, 1])
+
+    def channels_last(self, x: str) -> str:
+        return self.graph.add("Transpose", x, perm=[0, 2, 3, 1, 4])
+
+
 def _add_memory(graph: _Graph, weights: Any, x: str, carry: str) -> str:  # noqa: ANN401 - a tree of weights
     """Return the carry after a GRU, as `policy_file.forward` computes it."""
     reset, update, new = graph.add("Split", graph.dense(weights["gates"], x), outputs=3, axis=-1)
@@ -88,7 +143,8 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
     x = graph.add("Sub", graph.add("Where", lost, mean, seen), mean)
     x = graph.add("Div", x, graph.constant(policy.std[index]))
     x = graph.add("Clip", x, graph.constant(-policy.max_normalised), graph.constant(policy.max_normalised))
-    for layer in range(policy.layers):
+    layout = policy.layouts[index]
+    for layer in range(policy.layers if layout is None else 0):
         x = graph.add("Elu", graph.dense(weights[f"layer_{layer}"], x))
     if policy.memory:
         graph.inputs.append((f"{name}.carry", policy.memory))
@@ -96,7 +152,11 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
         graph.result(f"{name}.next_carry", policy.memory, x)
     if group.get("discrete"):
         there = graph.add("Greater", _last(graph, seen, width, group["action_size"]), graph.constant(0.5))
-        x = graph.add("Where", there, graph.dense(weights["head"], x), graph.constant(INVALID))
+        if layout is None:
+            x = graph.dense(weights["head"], x)
+        else:
+            x = set_outputs(_GraphOperations(graph), weights, policy.layers, layout, x)
+        x = graph.add("Where", there, x, graph.constant(INVALID))
         graph.result(f"{name}.action", group["action_size"], graph.add("Hardmax", x, axis=-1))
         return
     means, _ = graph.add("Split", graph.dense(weights["head"], x), outputs=2, axis=-1)

@@ -17,6 +17,8 @@ from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.files import atomic_write
 from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.base.settings.json_file import parse_json
+from usarmjx.train.envs.layout import ObservationLayout, layout_from_record, layout_record
+from usarmjx.train.policies.set_forward import KINDS, NumpyOperations, set_outputs, set_shapes
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.state import AgentGroup
@@ -68,10 +70,12 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
         _check_whole(key, about)
     if not (0 < about["period"] < math.inf and about["groups"] and about["layers"]):
         raise ValueError("its period is above 0, and it has groups and layers")
+    if about.get("network", "mlp") not in KINDS:
+        raise ValueError(f"its network is {str(about['network'])[:40]}, expected {', '.join(KINDS)}")
     _check_texts("overrides", [*about["overrides"], *about["overrides"].values()])
     for group in about["groups"]:
         _check("group", group, dict, group)
-        if group.keys() - {"discrete"} != {"name", "agents", "obs_size", "action_size"}:
+        if group.keys() - {"discrete", "layout"} != {"name", "agents", "obs_size", "action_size"}:
             raise ValueError(
                 f"a group has {', '.join(sorted(group))[:100]}, expected name, agents, obs_size, action_size"
             )
@@ -82,6 +86,18 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
         _check_whole("action_size", group)
         if not isinstance(group.get("discrete", False), bool):
             raise ValueError("its discrete is true or false")
+        if about.get("network", "mlp") != "mlp":
+            _check_layout(about, group)
+
+
+def _check_layout(about: Mapping[str, Any], group: Mapping[str, Any]) -> None:
+    layout = layout_from_record(group.get("layout"))
+    if problem := layout.misfit(group["obs_size"], group["action_size"]):
+        raise ValueError(problem)
+    if about["memory"] or not group.get("discrete"):
+        raise ValueError(f"a network of kind {about['network']} has no memory, and chooses")
+    if about["network"] == "cnn" and not layout.picture_size.size:
+        raise ValueError("its network looks at a picture, but its layout has none")
 
 
 def _check(key: str, held: Mapping[str, Any], kind: Any, value: Any = None) -> None:  # noqa: ANN401
@@ -108,21 +124,18 @@ def check_shapes(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
         ValueError: An array has another shape than it must have; names it.
         KeyError: It is not there.
     """
-    memory = about["memory"]
+    kind = about.get("network", "mlp")
     for g, group in enumerate(about["groups"]):
         width = group["obs_size"]
         wanted = {f"mean/{g}": (width,), f"std/{g}": (width,)}
         start = f"weights/{g}/"
-        for i in range(about["layers"]):
-            out = arrays[f"{start}layer_{i}/bias"].size
-            wanted |= {f"{start}layer_{i}/kernel": (width, out), f"{start}layer_{i}/bias": (out,)}
-            width = out
-        if memory:
-            wanted |= {f"{start}gates/kernel": (width, 3 * memory), f"{start}gates/bias": (3 * memory,)}
-            wanted |= {f"{start}recurrent": (memory, 3 * memory), f"{start}recurrent_bias": (memory,)}
-            width = memory
-        out = group["action_size"] * (1 if group.get("discrete") else 2)
-        wanted |= {f"{start}head/kernel": (width, out), f"{start}head/bias": (out,)}
+        if kind == "mlp":
+            shapes = _layer_shapes(about, group, arrays, start)
+        else:
+            first = ["own", *(f"layer_{i}" for i in range(1, about["layers"]))]
+            widths = [arrays[f"{start}{name}/bias"].size for name in first]
+            shapes = set_shapes(layout_from_record(group["layout"]), widths, kind)
+        wanted |= {start + name: shape for name, shape in shapes.items()}
         for name, shape in wanted.items():
             if arrays[name].shape != shape:
                 raise ValueError(f"array {name!r} has the shape {arrays[name].shape}, not {shape}")
@@ -131,6 +144,23 @@ def check_shapes(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
         extra = [name for name in arrays if name.startswith(start) and name not in wanted]
         if extra:
             raise ValueError(f"array {extra[0][:60]!r} belongs to no layer")
+
+
+def _layer_shapes(
+    about: Mapping[str, Any], group: Mapping[str, Any], arrays: Mapping[str, np.ndarray], start: str
+) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of layers over all numbers, by its name behind `start`."""
+    wanted, width, memory = dict[str, tuple[int, ...]](), group["obs_size"], about["memory"]
+    for i in range(about["layers"]):
+        out = arrays[f"{start}layer_{i}/bias"].size
+        wanted |= {f"layer_{i}/kernel": (width, out), f"layer_{i}/bias": (out,)}
+        width = out
+    if memory:
+        wanted |= {"gates/kernel": (width, 3 * memory), "gates/bias": (3 * memory,)}
+        wanted |= {"recurrent": (memory, 3 * memory), "recurrent_bias": (memory,)}
+        width = memory
+    out = group["action_size"] * (1 if group.get("discrete") else 2)
+    return {**wanted, "head/kernel": (width, out), "head/bias": (out,)}
 
 
 MAX_NORMALISED = 10.0  # as in `statistics`
@@ -188,6 +218,8 @@ class NumpyPolicy:
         memory: Units of memory of each robot; 0: none.
         overrides: Overridden fields of the task in training, as typed.
         layers: Number of hidden layers.
+        network: Kind of the networks, one of `KINDS`.
+        layouts: Per group the parts of observations that its network reads; None: all numbers alike.
         weights: Per group a tree of weights.
         mean: Mean of the observations in training, per group (obs_size,).
         std: Their deviation, per group (obs_size,).
@@ -207,6 +239,11 @@ class NumpyPolicy:
             self.overrides: dict[str, str] = about["overrides"]
             self.groups: list[dict[str, Any]] = about["groups"]
             self.memory, self.layers = about["memory"], about["layers"]
+            self.network: str = about.get("network", "mlp")
+            self.layouts: list[ObservationLayout | None] = [
+                None if self.network == "mlp" else layout_from_record(group["layout"])
+                for group in self.groups
+            ]
             self.mean = [arrays[f"mean/{g}"] for g in range(len(self.groups))]
             self.std = [arrays[f"std/{g}"] for g in range(len(self.groups))]
             self.weights = [_tree(arrays, f"weights/{g}/") for g in range(len(self.groups))]
@@ -252,7 +289,10 @@ class NumpyPolicy:
         if obs.shape[-1:] != mean.shape:
             raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
         seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED)
-        logits, carry = forward(self.weights[group], self.layers, seen, carry)
+        if (layout := self.layouts[group]) is None:
+            logits, carry = forward(self.weights[group], self.layers, seen, carry)
+        else:
+            logits = set_outputs(NumpyOperations(), self.weights[group], self.layers, layout, seen)
         if self.groups[group].get("discrete"):
             return _choice(logits, obs, draw), carry
         loc, scale = np.split(logits, 2, axis=-1)
@@ -318,20 +358,29 @@ def save_policy(
         "task": record.task,
         "overrides": record.overrides,
         "period": record.period,
-        "groups": [group_record(group) for group in policy.groups],
+        "groups": [group_record(group, policy.layout(g)) for g, group in enumerate(policy.groups)],
         "layers": len(policy.layers),
         "memory": policy.memory,
+        **({} if policy.kind == "mlp" else {"network": policy.kind}),
     }
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     for g in range(len(policy.groups)):
-        arrays[f"mean/{g}"], arrays[f"std/{g}"] = np.asarray(params.mean[g]), np.asarray(params.std[g])
+        scale = policy.scale(g, params.mean[g], params.std[g])
+        arrays[f"mean/{g}"], arrays[f"std/{g}"] = map(np.asarray, scale)
         arrays |= _flat(params.weights[g]["params"], f"weights/{g}/")
     write_arrays(file, arrays, half)
 
 
-def group_record(group: "AgentGroup") -> dict[str, Any]:
-    """Return what a file has of a group: `discrete` only where it is so, as older readers know none."""
-    return {name: value for name, value in vars(group).items() if name != "discrete" or value}
+def group_record(group: "AgentGroup", layout: ObservationLayout | None = None) -> dict[str, Any]:
+    """Return what a file has of a group: `discrete` only where it is so, as older readers know none.
+
+    Args:
+        group: The group.
+        layout: The layout that its network reads; None: none, and the file has none.
+    """
+    found = {name: value for name, value in vars(group).items() if name != "layout"}
+    found = {name: value for name, value in found.items() if name != "discrete" or value}
+    return found if layout is None else {**found, "layout": layout_record(layout)}
 
 
 def write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) -> None:

@@ -123,7 +123,7 @@ class PolicySource:
         alone = PolicyParams(
             weights=(params.weights[index],), mean=(params.mean[index],), std=(params.std[index],)
         )
-        learned = LearnedPolicy((mine,), policy.layers, policy.memory).as_policy(alone)
+        learned = LearnedPolicy((mine,), policy.layers, policy.memory, policy.kind).as_policy(alone)
 
         def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
             return learned.act(carry, (obs[group],), key)
@@ -358,15 +358,20 @@ def load_exported(file: Path) -> PolicySource:
         UsageError: It is no policy, or broken.
     """
     exported = NumpyPolicy(file)
-    given: list[dict[str, Any]] = [{**one, "agents": tuple(one["agents"])} for one in exported.groups]
+    given: list[dict[str, Any]] = [
+        {**one, "agents": tuple(one["agents"]), "layout": layout}
+        for one, layout in zip(exported.groups, exported.layouts, strict=True)
+    ]
     groups = tuple(AgentGroup(**one) for one in given)
-    widths = tuple(exported.weights[0][f"layer_{i}"]["kernel"].shape[1] for i in range(exported.layers))
+    first = "layer_0" if exported.network == "mlp" else "own"
+    names = (first, *(f"layer_{i}" for i in range(1, exported.layers)))
+    widths = tuple(exported.weights[0][name]["kernel"].shape[1] for name in names)
     params = PolicyParams(
         weights=tuple({"params": weights} for weights in exported.weights),
         mean=tuple(map(jnp.asarray, exported.mean)),
         std=tuple(map(jnp.asarray, exported.std)),
     )
-    learned = LearnedPolicy(groups, widths, exported.memory), params
+    learned = LearnedPolicy(groups, widths, exported.memory, exported.network), params
     return PolicySource(name=str(file), task=exported.task, overrides=exported.overrides, learned=learned)
 
 

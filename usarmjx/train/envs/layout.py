@@ -1,0 +1,174 @@
+"""Layout of an observation of robots that choose: which numbers belong to which choice.
+
+This module imports neither JAX nor anything that needs it, as files of policies are read by it.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+
+class Span(NamedTuple):
+    """Numbers of an observation that lie side by side.
+
+    Attributes:
+        first: Index of the first one.
+        rows: Things that they describe.
+        numbers: Numbers of each thing.
+    """
+
+    first: int
+    rows: int
+    numbers: int
+
+    @property
+    def end(self) -> int:
+        """Index behind the last one."""
+        return self.first + self.rows * self.numbers
+
+
+class Picture(NamedTuple):
+    """Size of a picture of maps.
+
+    Attributes:
+        levels: Scales.
+        width: Points along a side of each.
+        channels: Numbers of a point.
+    """
+
+    levels: int = 0
+    width: int = 0
+    channels: int = 0
+
+    @property
+    def size(self) -> int:
+        """All its numbers."""
+        return self.levels * self.width * self.width * self.channels
+
+
+NO_PICTURE = Picture()
+LARGEST = 10**6
+"""Largest number in a layout of a file."""
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """Parts of an observation, in their order; behind them stands which choices there are.
+
+    Attributes:
+        own: Count of numbers about the robot itself.
+        others: Other robots, and numbers of each, of which the first says whether there is one.
+        choices: Choices, and numbers of each.
+        kinds: Kind of each choice, from 0: choices of a kind are alike.
+        picture: Levels, width and channels of a picture of maps (levels, width, width, channels); zeros:
+            there is none.
+    """
+
+    own: int
+    others: tuple[int, int]
+    choices: tuple[int, int]
+    kinds: tuple[int, ...]
+    picture: tuple[int, int, int] = NO_PICTURE
+
+    @property
+    def picture_size(self) -> Picture:
+        """Size of the picture."""
+        return Picture(*self.picture)
+
+    @property
+    def own_span(self) -> Span:
+        """Where the robot's own numbers stand."""
+        return Span(0, 1, self.own)
+
+    @property
+    def others_span(self) -> Span:
+        """Where the others stand."""
+        return Span(self.own_span.end, *self.others)
+
+    @property
+    def choices_span(self) -> Span:
+        """Where the choices stand."""
+        return Span(self.others_span.end, *self.choices)
+
+    @property
+    def picture_span(self) -> Span:
+        """Where the picture stands."""
+        return Span(self.choices_span.end, 1, self.picture_size.size)
+
+    @property
+    def mask_span(self) -> Span:
+        """Where it stands which choices there are."""
+        return Span(self.picture_span.end, self.choices[0], 1)
+
+    @property
+    def size(self) -> int:
+        """Numbers in an observation."""
+        return self.mask_span.end
+
+    @property
+    def tokens(self) -> int:
+        """Things that a network of sets compares: the robot, the others and the choices."""
+        return 1 + self.others[0] + self.choices[0]
+
+    @property
+    def sets(self) -> tuple[Span, Span]:
+        """Spans of things that are alike."""
+        return self.others_span, self.choices_span
+
+    @property
+    def as_they_are(self) -> np.ndarray:
+        """Which numbers are neither shifted nor scaled: those that say whether, and the picture (size,)."""
+        found = np.zeros(self.size, bool)
+        found[self.picture_span.first :] = True
+        found[self.others_span.first : self.others_span.end : max(self.others[1], 1)] = True
+        return found
+
+    def misfit(self, obs_size: int, choices: int) -> str:
+        """Return why it does not fit observations and choices of such sizes; empty: it does."""
+        if self.size != obs_size or self.choices[0] != choices or len(self.kinds) != choices:
+            return (
+                f"the layout has {self.size} numbers and {self.choices[0]} choices, kinds of "
+                f"{len(self.kinds)}; the observation has {obs_size} and {choices}"
+            )
+        return ""
+
+
+def layout_record(layout: ObservationLayout) -> dict[str, Any]:
+    """Return what a file has of a layout, as JSON holds it."""
+    rows = {name: [*getattr(layout, name)] for name in ROWS}
+    return {"own": layout.own, **rows}
+
+
+ROWS = {"others": 2, "choices": 2, "kinds": 0, "picture": 3}
+"""Parts of a layout in a file that are lists, and how long they are; 0: any length."""
+
+
+def layout_from_record(held: Any) -> ObservationLayout:  # noqa: ANN401 - whatever a file has
+    """Return the layout that a file has.
+
+    Raises:
+        ValueError: It has none, or one with other numbers than whole ones from 0.
+    """
+    if not isinstance(held, dict) or cast(dict[str, Any], held).keys() != {"own", *ROWS}:
+        raise ValueError(f"its layout has other parts than own, {', '.join(ROWS)}")
+    parts = cast(dict[str, Any], held)
+    rows = {name: _whole_numbers(name, parts[name], count) for name, count in ROWS.items()}
+    (own,) = _whole_numbers("own", [parts["own"]], 1)
+    others, choices, picture = (rows[name] for name in ("others", "choices", "picture"))
+    return ObservationLayout(
+        own=own,
+        others=(others[0], others[1]),
+        choices=(choices[0], choices[1]),
+        kinds=rows["kinds"],
+        picture=(picture[0], picture[1], picture[2]),
+    )
+
+
+def _whole_numbers(name: str, value: Any, count: int) -> tuple[int, ...]:  # noqa: ANN401 - whatever a file has
+    """Return the whole numbers of a list; `count` of them, 0: any number but none."""
+    text, rows = str(value)[:40], cast(list[Any], value) if isinstance(value, list) else []
+    whole = all(isinstance(one, int) and not isinstance(one, bool) and 0 <= one <= LARGEST for one in rows)
+    if not rows or not whole or (count and len(rows) != count):
+        raise ValueError(f"{name} of its layout is {text}")
+    return tuple(rows)

@@ -1,0 +1,142 @@
+"""Networks of robots that choose, over a set of choices: one function for all, and attention between them.
+
+A policy's choice does not depend on the order of choices of a kind or on that of other robots, and it has the
+same weights for any number of them.
+"""
+
+import math
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.train.envs.layout import ObservationLayout, Span
+
+ROOT_TWO = 2.0**0.5
+HEADS = 4
+"""Heads of attention, of layers whose width they divide; else one."""
+FILTERS = (16, 32)
+"""Filters of the layers over a picture; each halves its sides."""
+MASKED = -1e9
+"""Score of attention to what is not there."""
+
+
+class SetNetwork(nn.Module):
+    """A layer for each kind of thing, rounds of attention, and a linear layer.
+
+    Called as `networks.Network` is; it has no memory.
+
+    Attributes:
+        layers: Widths: of the first layer, then of each round.
+        outputs: Numbers that come out: one for each choice, or those of the robot itself.
+        layout: Parts of the observations.
+        chooses: Whether a number for each choice comes out.
+        sees: Whether it looks at the picture.
+        scale: Scale of the last layer's initial weights.
+        robots: Robots with a bias of their own, as in a critic; 0: all are alike.
+    """
+
+    layers: tuple[int, ...]
+    outputs: int
+    layout: ObservationLayout
+    chooses: bool
+    sees: bool = False
+    scale: float = 1.0
+    robots: int = 0
+    memory: int = 0
+
+    @nn.compact
+    def __call__(
+        self, seen: jax.Array, shared: jax.Array | None, carry: jax.Array, is_first: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """As `networks.Network`: outputs (steps, worlds, robots, outputs), and the carry as it was."""
+        del is_first
+        layout, width = self.layout, self.layers[0]
+        others, choices = (_rows(seen, span) for span in layout.sets)
+        own = _dense(width, "own")(_rows(seen, layout.own_span)[..., 0, :])
+        if shared is not None and shared.shape[-1]:
+            own = own + _dense(width, "shared", bias=False)(shared)[..., None, :]
+        if self.robots > 1:
+            own = own + _param(self, "robot", nn.initializers.zeros, (self.robots, width))
+        if self.sees:
+            own = own + _dense(width, "view", bias=False)(self._view(seen))
+        kinds = _param(self, "kinds", nn.initializers.normal(0.1), (max(layout.kinds) + 1, width))
+        choices = _dense(width, "choices")(choices) + kinds[np.array(layout.kinds)]
+        x = nn.elu(jnp.concatenate([own[..., None, :], _dense(width, "others")(others), choices], -2))
+        there = presence_of(layout, seen)
+        for i, size in enumerate(self.layers[1:], start=1):
+            x = nn.elu(_dense(size, f"layer_{i}")(x) + self._gather(x, there, i, size))
+        first = 1 + layout.others[0]
+        init = nn.initializers.orthogonal(self.scale)
+        head = nn.Dense(1 if self.chooses else self.outputs, kernel_init=init, name="head")
+        return (head(x[..., first:, :])[..., 0] if self.chooses else head(x[..., 0, :])), carry
+
+    def _gather(self, x: jax.Array, there: jax.Array, i: int, size: int) -> jax.Array:
+        """Return what each thing learns of all, and of the robot itself (..., tokens, size)."""
+        heads = heads_of(size)
+
+        def split(name: str) -> jax.Array:
+            found = _dense(size, f"{name}_{i}", bias=False)(x).reshape(*x.shape[:-1], heads, -1)
+            return jnp.swapaxes(found, -2, -3)
+
+        query, key, value = split("query"), split("key"), split("value")  # (..., heads, tokens, n)
+        scores = query @ jnp.swapaxes(key, -1, -2) / math.sqrt(size // heads)
+        scores = jnp.where(there[..., None, None, :], scores, MASKED)
+        found = jnp.swapaxes(jax.nn.softmax(scores) @ value, -2, -3)
+        common = _dense(size, f"common_{i}", bias=False)(x[..., :1, :])
+        return found.reshape(*x.shape[:-1], size) + common
+
+    def _view(self, seen: jax.Array) -> jax.Array:
+        """Return what convolutions find in the picture (..., n)."""
+        span, (levels, width, channels) = self.layout.picture_span, self.layout.picture
+        x = seen[..., span.first : span.end].reshape(-1, levels, width, width, channels)
+        x = jnp.moveaxis(x, 1, 3).reshape(-1, width, width, levels * channels)
+        for i, filters in enumerate(FILTERS):
+            init = nn.initializers.orthogonal(ROOT_TWO)
+            layer = nn.Conv(filters, (3, 3), 2, padding=((1, 1), (1, 1)), kernel_init=init, name=f"conv_{i}")
+            x = nn.elu(layer(x))
+        return x.reshape(*seen.shape[:-1], -1)
+
+
+def heads_of(width: int) -> int:
+    """Return the number of heads of attention of a width."""
+    return HEADS if width % HEADS == 0 else 1
+
+
+def presence_of(layout: ObservationLayout, seen: jax.Array) -> jax.Array:
+    """Return which tokens there are (..., tokens), of observations whose marks are as they are."""
+    others = _rows(seen, layout.others_span)[..., 0] > 0.5
+    choices = _rows(seen, layout.mask_span)[..., 0] > 0.5
+    return jnp.concatenate([jnp.ones((*seen.shape[:-1], 1), bool), others, choices], -1)
+
+
+def shared_scale(layout: ObservationLayout, mean: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return a mean and a deviation of observations (size,) that things of a set have in common.
+
+    Numbers that say whether there is something, and pictures, stay as they are.
+    """
+    mean, square = jnp.asarray(mean), jnp.asarray(std) ** 2
+    for span in layout.sets:
+        there = slice(span.first, span.end)
+        own, spread = (one[there].reshape(span.rows, span.numbers) for one in (mean, square))
+        common = spread.mean(0) + own.var(0)
+        mean = mean.at[there].set(jnp.tile(own.mean(0), span.rows))
+        square = square.at[there].set(jnp.tile(common, span.rows))
+    std = jnp.sqrt(square)
+    same = layout.as_they_are
+    return jnp.where(same, 0.0, mean), jnp.where(same, 1.0, std)
+
+
+def _rows(seen: jax.Array, span: Span) -> jax.Array:
+    """Return the numbers of things (..., rows, numbers)."""
+    return seen[..., span.first : span.end].reshape(*seen.shape[:-1], span.rows, span.numbers)
+
+
+def _dense(width: int, name: str, *, bias: bool = True) -> nn.Dense:
+    return nn.Dense(width, use_bias=bias, kernel_init=nn.initializers.orthogonal(ROOT_TWO), name=name)
+
+
+def _param(module: Any, name: str, init: Any, shape: tuple[int, ...]) -> jax.Array:  # noqa: ANN401
+    return module.param(name, init, shape)  # which flax leaves without types
