@@ -49,6 +49,8 @@ from usarmjx.train.tasks.victim_search import VictimSearch
 QUARTERS = (0.25, 0.5, 0.75)
 WORLDS = 24
 """Episodes unless told otherwise."""
+VIEWS = ("advice", "observed")
+"""Fields of tasks that say what robots see."""
 HELD_STEPS = 10
 """Steps for which robots that act at random keep an action: 2 s."""
 
@@ -138,12 +140,11 @@ def knowing(task: TeamTask) -> TeamTask:
     return replace(task, radio=PERFECT_RADIO, oracle=True)
 
 
-def with_training_advice(source: PolicySource, task: TeamTask) -> TeamTask:
-    """Return a task that shows the planner's advice if a policy was trained with it, and else hides it."""
-    if "advice" not in source.overrides:
-        return task
-    overrides, _ = task_settings(source.task, {"advice": source.overrides["advice"]}, ())
-    return replace(task, advice=overrides["advice"])
+def with_training_view(source: PolicySource, task: TeamTask) -> TeamTask:
+    """Return a task that shows what a policy saw in training: the planner's advice, a picture of maps."""
+    shown = {name: text for name, text in source.overrides.items() if name in VIEWS and hasattr(task, name)}
+    overrides, _ = task_settings(source.task, shown, ()) if shown else ({}, [])
+    return replace(task, **overrides)
 
 
 Team = tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]
@@ -187,7 +188,7 @@ def find_team(name: str) -> Team:
         source = load_policy(name)
     except UnknownNameError as error:
         raise UnknownNameError(f"{name} is none of the teams {', '.join(TEAMS)}; {error}") from error
-    return partial(with_training_advice, source), source.policy
+    return partial(with_training_view, source), source.policy
 
 
 def training_note(team: str, task: TeamTask, name: str) -> str:

@@ -10,16 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, SHARE
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
+from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
 from usarmjx.train.envs.presence import Presence
 from usarmjx.train.envs.task import StepResult, TaskView
-from usarmjx.train.mapping.belief import Belief, update_base_contact
+from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, update_base_contact
 from usarmjx.train.mapping.goals import WAY_SQUARES, Goals, find_goals, next_on_way, way_to, where_due
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 from usarmjx.train.mapping.planning import near_others
+from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH, map_pyramid
 from usarmjx.train.mapping.wavefront import frontier
 from usarmjx.train.mapping.way_driving import frontier_action
 from usarmjx.train.tasks.attrition import drawn_team, remaining_robots
@@ -27,13 +29,19 @@ from usarmjx.train.tasks.equip import base_station, mapping_robot
 from usarmjx.train.tasks.goal_features import (
     CONTACT_SCALE,
     FRONTIERS,
+    GOAL_NUMBERS,
     GOALS,
     KNOWN_SCALE,
+    MATE_AGE,
+    MATE_NUMBERS,
     MATES,
     NEWS_SCALE,
     OBSERVATION_SIZE,
+    OBSERVED_MATES,
+    OWN_NUMBERS,
     TEAM_SCALE,
     TIME_SCALE,
+    GoalView,
     Mates,
     chosen_goal,
     goal_features,
@@ -65,16 +73,24 @@ class ExploreBaseState(struct.PyTreeNode, kw_only=True):
     Attributes:
         mapped: Which squares of the building the base has on its map (i, j).
         reported: Free squares on each robot's map when the base last had all of it (robots,).
+        shared: Free squares on each robot's map when it last had a link to each other one (robots, robots).
         goals: Goals of each robot as of the last choice (robots, goals, ...).
         chosen: Which of them it chose (robots,).
         way: Next positions on the way there [m] (robots, WAY_SQUARES, 2).
+        sent: Free squares on each robot's map when the base last had all of it, if pictures show them
+            (robots, i, j); else empty.
+        picture: Pictures of the robots' maps as of the last choice (robots, LEVELS, WIDTH, WIDTH, channels);
+            else empty.
     """
 
     mapped: jax.Array
     reported: jax.Array
+    shared: jax.Array
     goals: Goals
     chosen: jax.Array
     way: jax.Array
+    sent: jax.Array | tuple[()] = ()
+    picture: jax.Array | tuple[()] = ()
 
 
 class KnownMaps(struct.PyTreeNode, kw_only=True):
@@ -109,19 +125,21 @@ class ExploreBase(TeamTask):
     is free on the base's map, for a `haste` of 1; with less, the share at the end counts the more, see
     `TeamTask`; less `price` for every contact.
 
-    Each robot has up to 15 goals: its base, the two nearest robots that it has heard of, and a frontier of
-    each of the 12 nearest blocks of its map of 2.4 m.
+    Each robot has up to 19 goals: its base, the two nearest robots that it has heard of, and a frontier of
+    each of the 16 nearest blocks of its map of 2.4 m.
 
     Action `goals`: a number for each goal; the robot takes the valid one with the greatest, every `hold`
     steps, and one given controller drives it there along the shortest way on its own map. Action `wheels`:
     speed and turn, as `TeamTask`; the way leads to the goal of the planner that brings news home.
 
     Observation, in the robot's axes: see `goal_features`. Its size depends neither on the team nor on the
-    building. The last 15 numbers say which goals are valid.
+    building. The last 19 numbers say which goals are valid. With `observed=map` a picture of the robot's
+    whole map at three scales stands before them, see `mapping.pyramid`.
 
-    Reward: what a step adds to the score, where contacts cost those that touch and all else goes to all in
-    equal parts; and `hint` times 100 times the share of the building that the robot was the first to see,
-    which is not part of the score.
+    Reward: what a step adds to the score, where contacts cost those that touch. What comes onto the base's
+    map goes to all in equal parts; but for `brought` of it, which goes to those that have a link to the base
+    then and the squares on their maps. And `hint` times 100 times the share of the building that the robot
+    was the first to see, which is not part of the score.
 
     Attributes:
         robot: Class of the robots, or their description.
@@ -129,6 +147,8 @@ class ExploreBase(TeamTask):
         actions: Kind of the actions, see above.
         hold: Steps for which a goal is kept.
         hint: Reward for squares that a robot explores.
+        brought: Share of the reward for squares on the base's map that goes to those that brought them.
+        observed: Whether robots see their goals only, or also the picture of their map.
         least_robots: Least number of robots; each world draws its number, up to `count`, at each reset. 0:
             always `count`.
         oracle: Let the robots know the building: their ways lead through what they have not seen, and every
@@ -146,6 +166,8 @@ class ExploreBase(TeamTask):
     actions: Literal["goals", "wheels"] = "goals"
     hold: Annotated[int, AT_LEAST_ONE] = 8
     hint: Annotated[float, NOT_NEGATIVE] = 0.3
+    brought: Annotated[float, SHARE] = 0.5
+    observed: Literal["goals", "map"] = "goals"
     least_robots: Annotated[int, NOT_NEGATIVE] = 0
     oracle: bool = False
 
@@ -153,6 +175,8 @@ class ExploreBase(TeamTask):
         """Return a conflict between settings."""
         if not self.advice:
             return "advice is false, but robots of this task see no advice"
+        if self.observed == "map" and not self.discrete:
+            return "observed is map, but with actions=wheels robots see no picture"
         wrong = self.least_robots > self.count
         return f"least_robots is {self.least_robots}, but the team has {self.count} robots" if wrong else ""
 
@@ -169,6 +193,24 @@ class ExploreBase(TeamTask):
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """A number for each goal, or speed and turn."""
         return (GOALS if self.discrete else 2,) * len(self.agent_groups(scene))
+
+    def layout(self, scene: Scene) -> ObservationLayout | None:
+        """As `Task`: the robot, the others, the goals, and perhaps the picture."""
+        del scene
+        if not self.discrete:
+            return None
+        return ObservationLayout(
+            own=OWN_NUMBERS + SECTOR_COUNT,
+            others=(OBSERVED_MATES, MATE_NUMBERS),
+            choices=(GOALS, GOAL_NUMBERS),
+            kinds=(0, *(1,) * MATES, *(2,) * FRONTIERS),
+            picture=Picture(LEVELS, WIDTH, len(CHANNELS)) if self.pictures else NO_PICTURE,
+        )
+
+    @property
+    def pictures(self) -> bool:
+        """Whether robots see pictures of their maps."""
+        return self.observed == "map"
 
     # Members of the team.
 
@@ -312,18 +354,42 @@ class ExploreBase(TeamTask):
             extra=ExploreBaseState(
                 mapped=memory.reachable & (memory.belief.squares[station_slot(view.scene)] == FREE),
                 reported=jnp.zeros(len(pose)),
+                shared=jnp.zeros((len(pose), len(pose))),
                 goals=self.find(view.scene, self.known(view, memory)),
                 chosen=jnp.zeros(len(pose), jnp.int32),
                 way=jnp.broadcast_to(pose[:, None, :2], (len(pose), WAY_SQUARES, 2)),
             )
         )
-        return memory.replace(extra=memory.extra.replace(reported=self._reported(view, memory)))
+        memory = self._noted(view, memory)
+        if not self.pictures:
+            return memory
+        sent = self._sent(view, memory)
+        picture = self.picture(view.scene, self.known(view, memory), sent)
+        return memory.replace(extra=memory.extra.replace(sent=sent, picture=picture))
 
-    def _reported(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """Return how many free squares each robot had when the base last had them (robots,)."""
-        belief = memory.belief
+    def picture(self, scene: Scene, known: KnownMaps, sent: jax.Array) -> jax.Array:
+        """Return the pictures of all robots' maps, by slot (robots, LEVELS, WIDTH, WIDTH, channels)."""
+        grid, robots, base = self.arena_grid(scene), scene.num_robots, station_slot(scene)
+        there = ~np.eye(robots, dtype=bool) & (np.arange(robots) != base)
+        news = (known.squares == FREE) & ~sent
+        facts = known.squares, news, known.pose, known.headers[..., :2], (known.age < MATE_AGE) & there
+        return _of_agents(jax.vmap(partial(map_pyramid, grid)), self.agents(scene), robots, facts)
+
+    def _sent(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the free squares on each robot's map when the base last had all of it (robots, i, j)."""
+        belief, before = memory.belief, memory.extra.sent
         recent = view.time - belief.base_contact_time < RECENT_REPORT
-        return jnp.where(recent, (belief.squares == FREE).sum((1, 2)), memory.extra.reported)
+        free = belief.squares == FREE
+        return jnp.where(recent[:, None, None], free, False if isinstance(before, tuple) else before)
+
+    def _noted(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
+        """Return the memory with what the base and the others have got to know."""
+        belief, extra = memory.belief, memory.extra
+        recent = view.time - belief.base_contact_time < RECENT_REPORT
+        free = (belief.squares == FREE).sum((1, 2)).astype(jnp.float32)
+        reported = jnp.where(recent, free, extra.reported)
+        shared = jnp.where(_linked(view), free[:, None], extra.shared)
+        return memory.replace(extra=extra.replace(reported=reported, shared=shared))
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """Squares on the base's map, and contacts."""
@@ -334,14 +400,21 @@ class ExploreBase(TeamTask):
         memory, credit, begun = self.advance(view, memory)
         base = station_slot(scene)
         mapped = before.mapped | (memory.reachable & (memory.belief.squares[base] == FREE))
-        memory = memory.replace(extra=before.replace(mapped=mapped, reported=self._reported(view, memory)))
-        due = memory.step % self.hold == 0
-        goals = where_due(partial(self.find, scene), due, before.goals, self.known(view, memory))
-        gain = 100.0 * worth * (mapped.sum() - before.mapped.sum()) / squares
+        memory = self._noted(view, memory.replace(extra=before.replace(mapped=mapped)))
+        due, known = memory.step % self.hold == 0, self.known(view, memory)
+        goals = where_due(partial(self.find, scene), due, before.goals, known)
+        if self.pictures:
+            sent = self._sent(view, memory)
+            picture = where_due(partial(self.picture, scene), due, before.picture, known, sent)
+            memory = memory.replace(extra=memory.extra.replace(sent=sent, picture=picture))
+        point = 100.0 * worth / squares
+        gain = point * (mapped & ~before.mapped).sum()
         contacts = self.price * begun
         score = memory.score + jnp.where(memory.step == memory.skipped + 1, first, 0.0)
         memory = memory.replace(extra=memory.extra.replace(goals=goals), score=score + gain - contacts.sum())
-        reward = gain / len(self.agents(scene)) + self.hint * 100.0 * credit - contacts
+        common = (1 - self.brought) * gain / len(self.agents(scene))
+        brought = self.brought * point * self.bringers(view, memory, mapped & ~before.mapped)
+        reward = common + brought + self.hint * 100.0 * credit - contacts
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
@@ -349,6 +422,18 @@ class ExploreBase(TeamTask):
             score=memory.score,
             metrics={**self.metrics(memory), "mapped": mapped.sum() / squares},
         )
+
+    def bringers(self, view: TaskView, memory: TeamMemory, news: jax.Array) -> jax.Array:
+        """Return whose part of the squares that came to the base (i, j) is whose, of all slots (robots,).
+
+        A square belongs to those that have it and a link to the base, else to all agents, in equal parts.
+        """
+        agents, base = self.agents(view.scene), station_slot(view.scene)
+        free = memory.belief.squares[agents] == FREE
+        has = free & _linked(view)[agents, base][:, None, None]
+        has = (has | ~has.any(0)) & news
+        parts = (has / jnp.maximum(has.sum(0), 1)).sum((1, 2))
+        return jnp.zeros(view.scene.num_robots).at[agents].set(parts)
 
     def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Points for the base's map, and the contacts'."""
@@ -365,7 +450,7 @@ class ExploreBase(TeamTask):
         """See `goal_features`; with wheels, the way of `TeamTask` before it."""
         belief, extra, scene = memory.belief, memory.extra, view.scene
         base, robots = station_slot(scene), scene.num_robots
-        linked = jnp.zeros((robots, robots), bool) if view.world.links is None else view.links.in_range
+        linked = _linked(view)
         free = (belief.squares == FREE).sum((1, 2)).astype(jnp.float32)
         left = 1 - memory.step / self.episode_steps
         seconds = left * self.episode_steps * self.repeat * scene.physics.period
@@ -374,18 +459,23 @@ class ExploreBase(TeamTask):
             jnp.broadcast_to(left, (robots,)),
             jnp.broadcast_to(seconds / TIME_SCALE, (robots,)),
             jnp.minimum(moved / PROGRESS_SCALE, 1.0),
-            jnp.asarray(linked)[:, base],
+            linked[:, base],
             jnp.minimum((view.time - belief.base_contact_time) / CONTACT_SCALE, 1.0),
             jnp.maximum(free - extra.reported, 0.0) / NEWS_SCALE,
             free / KNOWN_SCALE,
             heard_of(belief, base, view.time).sum(-1) / TEAM_SCALE,
         ]
         grid = self.arena_grid(scene)
+        untold = jnp.maximum(free[:, None] - extra.shared, 0.0)
+        untold = untold.at[:, base].set(jnp.maximum(free - extra.reported, 0.0))
         rows = [
             jnp.stack([jnp.asarray(one, jnp.float32) for one in own], -1),
             sector_features(belief),
-            mate_features(belief, base, view.time, linked),
-            goal_features(grid, belief, extra.goals, extra.chosen, base, view.time),
+            mate_features(belief, base, view.time, linked, untold),
+            goal_features(
+                grid, belief, extra.goals, extra.chosen, GoalView(base, view.time, seconds, untold)
+            ),
+            *([extra.picture.reshape(robots, -1)] if self.pictures else []),
             extra.goals.valid,
         ]
         way = [] if self.discrete else [self.controller_input(memory.replace(belief=self.followed(memory)))]
@@ -404,6 +494,12 @@ class ExploreBase(TeamTask):
         truth = [memory.reachable, memory.explored, memory.extra.mapped]
         maps = [_coarse(one).ravel() for one in truth]
         return jnp.concatenate([jnp.stack(facts), *maps, true_pose_features(view)])
+
+
+def _linked(view: TaskView) -> jax.Array:
+    """Return which robots have links (robots, robots)."""
+    robots = view.scene.num_robots
+    return jnp.zeros((robots, robots), bool) if view.world.links is None else jnp.asarray(view.links.in_range)
 
 
 def _picked(values: jax.Array, chosen: jax.Array) -> jax.Array:

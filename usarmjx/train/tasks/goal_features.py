@@ -7,12 +7,14 @@ The numbers, in the robot's axes (x ahead, y to the left):
   it has heard of lately (1: 16);
 - the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
 - for each of the 4 nearest others that it has heard of lately: whether there is one; where it said to be and
-  where it said to go (x, y each; 1: 12 m); the age of that (1: 40 s), whether there is a link now, and the
-  time since its news last came to the base (1: 60 s);
-- for each of 15 goals, the base, two others and 12 frontiers: position (x, y; 1: 12 m), length of the way (1:
+  where it said to go (x, y each; 1: 12 m); the age of that (1: 40 s), whether there is a link now, the time
+  since its news last came to the base (1: 60 s), whether it goes there, and free squares that the robot has
+  seen or heard of since it last had a link to it (1: 1000);
+- for each of 19 goals, the base, two others and 16 frontiers: position (x, y; 1: 12 m), length of the way (1:
   100 squares), share of unknown squares around it, distance from the base (1: 30 m), distance of the nearest
   other, and of the nearest goal of others of lower slots (1: 12 m), how many others are nearer to it (1: 4),
-  whether the robot has been there, and whether it goes there;
+  whether the robot has been there, and whether it goes there; free squares that are news to the base, or to
+  that robot (1: 1000); and the time left after the way there and on to the base at 0.3 m/s (1: 100 s);
 - for each goal, whether it is valid.
 """
 
@@ -27,19 +29,21 @@ from usarmjx.train.mapping.belief import SCANNER_RANGE, SECTOR_COUNT, Belief
 from usarmjx.train.mapping.goals import Goals
 from usarmjx.train.mapping.maps import MapGrid
 
-MATES, FRONTIERS, OBSERVED_MATES = 2, 12, 4
+MATES, FRONTIERS, OBSERVED_MATES = 2, 16, 4
 """Other robots and frontiers among the goals, and other robots that are observed."""
 GOALS = 1 + MATES + FRONTIERS
 """Goals of a robot."""
 MATE_AGE = 40.0
 """After so long without a message another robot is no goal any more [s]."""
-OWN_NUMBERS, MATE_NUMBERS, GOAL_NUMBERS = 8, 8, 10
+OWN_NUMBERS, MATE_NUMBERS, GOAL_NUMBERS = 8, 10, 12
 FIRST_MATE = OWN_NUMBERS + SECTOR_COUNT
 FIRST_GOAL = FIRST_MATE + OBSERVED_MATES * MATE_NUMBERS
 FIRST_MASK = FIRST_GOAL + GOALS * GOAL_NUMBERS
 OBSERVATION_SIZE = FIRST_MASK + GOALS
 TIME_SCALE, CONTACT_SCALE, NEWS_SCALE, KNOWN_SCALE, TEAM_SCALE = 100.0, 60.0, 1000.0, 5000.0, 16.0
 NEAR_SCALE, FAR_SCALE, LENGTH_SCALE, LONGEST_SEEN = 12.0, 30.0, 100.0, 5.0
+HOME_SPEED, HOME_RADIUS = 0.3, 1.5
+"""Speed at which robots plan to be home in time [m/s]; distance from the base of goals that are there [m]."""
 NOWHERE = 1e3
 """Distance of robots that a robot has not heard of [m]."""
 
@@ -54,6 +58,22 @@ class Mates(NamedTuple):
 
     slot: jax.Array
     valid: jax.Array
+
+
+class GoalView(NamedTuple):
+    """What else goals are judged by.
+
+    Attributes:
+        base: Slot of the base.
+        time: The time [s] ().
+        seconds: Time that is left [s] ().
+        untold: Free squares on each robot's map that each other one may not have (robots, robots).
+    """
+
+    base: int
+    time: Array
+    seconds: Array
+    untold: jax.Array
 
 
 def heard_of(belief: Belief, base: int, time: Array) -> jax.Array:
@@ -85,7 +105,7 @@ def sector_features(belief: Belief) -> jax.Array:
     return jnp.minimum(belief.sector_ranges / SCANNER_RANGE, 1.0)
 
 
-def mate_features(belief: Belief, base: int, time: Array, linked: Array) -> jax.Array:
+def mate_features(belief: Belief, base: int, time: Array, linked: jax.Array, untold: jax.Array) -> jax.Array:
     """Return what robots observe of others (robots, OBSERVED_MATES * MATE_NUMBERS).
 
     Args:
@@ -93,25 +113,25 @@ def mate_features(belief: Belief, base: int, time: Array, linked: Array) -> jax.
         base: Slot of the base.
         time: The time [s] ().
         linked: Which links there are (robots, robots).
+        untold: See `GoalView`.
     """
     robots, mates = len(belief.pose), nearest_mates(belief, base, time, OBSERVED_MATES)
     rows = np.arange(robots)[:, None]
     heads = belief.mate_headers[rows, mates.slot]
     age = (time - belief.heard_time[rows, mates.slot]) / MATE_AGE
     contact = jnp.minimum((time - heads[..., 5]) / CONTACT_SCALE, 1.0)
+    home = jnp.linalg.norm(heads[..., 3:5] - belief.pose[base, :2], axis=-1) < HOME_RADIUS
     facts = [
         jnp.ones((robots, OBSERVED_MATES, 1)),
         ahead_and_left(belief.pose, heads[..., :2]) / NEAR_SCALE,
         ahead_and_left(belief.pose, heads[..., 3:5]) / NEAR_SCALE,
-        jnp.stack([age, jnp.asarray(linked)[rows, mates.slot], contact], -1),
+        jnp.stack([age, linked[rows, mates.slot], contact, home, untold[rows, mates.slot] / NEWS_SCALE], -1),
     ]
     seen = jnp.where(mates.valid[..., None], jnp.concatenate(facts, -1), 0.0)
     return seen.reshape(robots, -1)
 
 
-def goal_features(
-    grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, base: int, time: Array
-) -> jax.Array:
+def goal_features(grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, judged: GoalView) -> jax.Array:
     """Return what robots observe of their goals (robots, GOALS * GOAL_NUMBERS).
 
     Args:
@@ -119,10 +139,10 @@ def goal_features(
         belief: Their beliefs.
         goals: Their goals (robots, GOALS, ...).
         chosen: Where they go (robots,).
-        base: Slot of the base.
-        time: The time [s] ().
+        judged: What else they are judged by.
     """
-    robots, known = len(belief.pose), heard_of(belief, base, time)
+    robots, base = len(belief.pose), judged.base
+    known = heard_of(belief, base, judged.time)
     there = ahead_and_left(belief.pose, goals.position)
     mine = jnp.linalg.norm(there, axis=-1)
 
@@ -135,15 +155,22 @@ def goal_features(
     taken = gaps(belief.mate_headers[..., 3:5], known & lower).min(-1)
     square = grid.index(goals.position)
     been = belief.visited[np.arange(robots)[:, None], square[..., 0], square[..., 1]]
+    from_base = jnp.linalg.norm(goals.position - belief.pose[base, :2], axis=-1)
+    to_go = (grid.cell * jnp.minimum(goals.length, LONGEST_SEEN * LENGTH_SCALE) + from_base) / HOME_SPEED
+    mates = nearest_mates(belief, base, judged.time, MATES)
+    for_mates = judged.untold[np.arange(robots)[:, None], mates.slot]
+    news = jnp.concatenate([judged.untold[:, base, None], for_mates, jnp.zeros((robots, FRONTIERS))], -1)
     facts = [
         there / NEAR_SCALE,
         jnp.minimum(goals.length / LENGTH_SCALE, LONGEST_SEEN)[..., None],
         goals.gain[..., None],
-        (jnp.linalg.norm(goals.position - belief.pose[base, :2], axis=-1) / FAR_SCALE)[..., None],
+        (from_base / FAR_SCALE)[..., None],
         jnp.minimum(jnp.stack([theirs.min(-1), taken], -1) / NEAR_SCALE, 1.0),
         ((theirs < mine[..., None]).sum(-1) / 4.0)[..., None],
         been[..., None],
         jnp.eye(GOALS)[chosen][..., None],
+        (news / NEWS_SCALE)[..., None],
+        ((judged.seconds - to_go) / TIME_SCALE)[..., None],
     ]
     return jnp.where(goals.valid[..., None], jnp.concatenate(facts, -1), 0.0).reshape(robots, -1)
 
@@ -155,8 +182,8 @@ NEARER_COST, TAKEN_COST, TAKEN_RADIUS, VISITED_COST, TURN_COST = 6.0, 20.0, 3.0,
 robot has been, and right behind it [squares]; radius within which others count as going there [m]."""
 GAIN_WORTH, KEEP_WORTH = 10.0, 4.0
 """Way that a frontier is worth where all around is unknown, and where the robot goes already [squares]."""
-HOME_SPEED, HOME_MARGIN = 0.3, 8.0
-"""Speed at which robots plan to be home in time [m/s], with so much time to spare [s]."""
+HOME_MARGIN = 8.0
+"""Time to spare with which robots plan to be home [s]."""
 LITTLE_NEWS, MUCH_NEWS = 30.0, 900.0
 """News that are not worth a way home, and news that are at any time [squares]."""
 
@@ -168,13 +195,13 @@ def chosen_goal(seen: Array, square: float, *, report: bool) -> jax.Array:
     when the time that is left is just enough for the way.
 
     Args:
-        seen: Observations (..., OBSERVATION_SIZE).
+        seen: Observations (..., OBSERVATION_SIZE), perhaps with a picture before the mask.
         square: Side of a map's squares [m].
         report: Whether it goes home.
     """
     seen = jnp.asarray(seen)
     goals = seen[..., FIRST_GOAL:FIRST_MASK].reshape(*seen.shape[:-1], GOALS, GOAL_NUMBERS)
-    valid = seen[..., FIRST_MASK : FIRST_MASK + GOALS] > 0.5
+    valid = seen[..., -GOALS:] > 0.5
     ahead, left = goals[..., 0], goals[..., 1]
     turn = 1 - ahead / jnp.maximum(jnp.hypot(ahead, left), 1e-3)
     cost = LENGTH_SCALE * goals[..., 2] - GAIN_WORTH * goals[..., 3] - KEEP_WORTH * goals[..., 9]
