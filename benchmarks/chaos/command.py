@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import ErrorExit, SeedOption, named
+from usarmjx.cli.common import ErrorExit, SeedOption, named, unwinds_on_signals
 from usarmjx.cli.completion import complete_arenas
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.server.network.ports import LAST_PORT
+from usarmjx.server.runtime.signals import FILES_TIME
 
 if TYPE_CHECKING:
     from benchmarks.chaos.target import Target
@@ -119,7 +120,8 @@ def chaos(
 
         for name in what.attack or ():
             find_attack(name)
-    with ErrorExit(), _target(server, hours.records) as target:
+    # A server that is started for it takes as long to end.
+    with ErrorExit(), unwinds_on_signals(patience=FILES_TIME), _target(server, hours.records) as target:
         say = partial(typer.echo, err=True)
         if hours.soak is None:
             _attack(target, what, json, say)

@@ -23,6 +23,7 @@ from benchmarks.hostile.frames import init_line
 from benchmarks.hostile.stage import HOST, PortAttack, play
 from benchmarks.hostile.table import read_records, worst_table
 from benchmarks.tools import append_record, record_header
+from usarmjx.server.runtime.parent_pipe import ParentPipe
 
 LIMIT = 0.25
 """Most time of the server's main thread between two reports of a neighbour, docs/security.md [s]."""
@@ -76,7 +77,14 @@ def served(log: Path, *, ros2: bool) -> Iterator[tuple[dict[str, int], subproces
     for name, port in ports.items():
         command += [OPTIONS[name], str(port)]
     command += ["--ros2", "--ros2-transport", "dds", "--ros-domain-id", str(ROS_DOMAIN)] if ros2 else []
-    with log.open("wb") as out, subprocess.Popen(command, stdout=out, stderr=out) as server:
+    with (
+        log.open("wb") as out,
+        ParentPipe() as pipe,
+        subprocess.Popen(
+            command, stdout=out, stderr=out, env={**os.environ, **pipe.settings}, pass_fds=pipe.inherited
+        ) as server,
+    ):
+        pipe.started()
         try:
             wait_for(ports, server)
             yield ports, server

@@ -16,6 +16,7 @@ from threading import Thread
 
 from benchmarks.tools import commit
 from usarmjx.base.errors import UsageError
+from usarmjx.server.runtime.parent_pipe import ParentPipe
 
 OWN_TREE = Path(__file__).resolve().parents[2]
 """Where this package lies."""
@@ -131,15 +132,18 @@ class ServerProcess(AbstractContextManager["ServerProcess"]):
         """
         self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
         began = time.perf_counter()
+        self._pipe = ParentPipe()
         self._process = subprocess.Popen(
             self._command,
             cwd=self._tree.folder,
-            env=self._environment,
+            env=self._environment | self._pipe.settings,
+            pass_fds=self._pipe.inherited,
             preexec_fn=_heed_interrupts,
             stdout=subprocess.PIPE,
             stderr=self._errors,
             text=True,
         )
+        self._pipe.started()
         Thread(target=self._read, daemon=True).start()
         try:
             self.port = self._port_said(LISTENING, began + START_LIMIT)
@@ -160,6 +164,8 @@ class ServerProcess(AbstractContextManager["ServerProcess"]):
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        finally:
+            self._pipe.__exit__(None, None, None)
         self._errors.close()
 
     @property

@@ -1,11 +1,18 @@
 """The soak: robots come and go and drive, samples are those of the metrics, and growth is told from noise."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import dev
 from benchmarks.chaos import soak as module
 from benchmarks.chaos.soak import (
     CLASSES,
@@ -18,7 +25,8 @@ from benchmarks.chaos.soak import (
     summarise,
 )
 from benchmarks.chaos.target import Target
-from tests.server.peers import looping
+from tests.scripts import python_path
+from tests.server.peers import PATIENCE, looping
 from tests.server.still_world import StillWorld
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
@@ -129,3 +137,54 @@ def test_the_command(served):
     ran = CliRunner().invoke(app, ["chaos", f"127.0.0.1:{server.port}", *words])
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout)["samples"] >= 4
+
+
+SERVER = """
+import os, time
+from usarmjx.server.runtime.signals import StopSignals
+
+with StopSignals() as signals:
+    signals.on_stop(lambda: os._exit(0))
+    lines = ("listening on", "pictures on", "rosbridge at ws://", "metrics at http://", "see it at http://")
+    print(*(f"{line}{' ' * line.endswith('on')}127.0.0.1:1" for line in lines), sep="\\n", flush=True)
+    time.sleep(600)
+"""
+CHAOS = f"""
+import benchmarks.chaos.soak, benchmarks.serving.process as process
+import sys, time
+from usarmjx.cli.app import app
+
+def work(case, *rest):
+    print(case.target.process, flush=True)
+    time.sleep(600)
+
+process.COMMAND = (sys.executable, "-c", {SERVER!r})
+benchmarks.chaos.soak.soak = work
+app(["chaos", "--self", "--soak", "600", "--record"])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_its_own_server_ends_with_it(number, tmp_path):
+    settings = {"PYTHONPATH": python_path(dev.ROOT), "TMPDIR": str(tmp_path)}
+    chaos = subprocess.Popen(
+        [sys.executable, "-c", CHAOS],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **settings},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    with chaos:
+        server = Path("/proc") / chaos.stdout.readline().strip()
+        assert server.joinpath("cmdline").read_text()
+        chaos.send_signal(number)
+        said = chaos.stderr.read()
+        end = time.monotonic() + PATIENCE
+    while server.exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not server.exists()
+    if number == signal.SIGKILL:
+        return
+    assert (chaos.returncode, said) == (128 + number, f"usarmjx: stopped by {number.name}\n")
+    assert not list(tmp_path.iterdir()), "the recording is removed"

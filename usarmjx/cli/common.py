@@ -1,9 +1,9 @@
 """Options and helpers that the commands of all sub-applications share."""
 
-import signal
+import time
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -60,12 +60,37 @@ class ErrorExit:
 def ends_on_signals() -> AbstractContextManager[object]:
     """Return a context in which SIGINT and SIGTERM end a command that has nothing to keep, at once.
 
-    Python's own handler waits for XLA, which may compile for minutes. A SIGINT that is ignored stays so.
+    Python's own handler waits for XLA, which may compile for minutes. A signal that is ignored stays so.
     """
-    from usarmjx.server.runtime.signals import StopSignals
+    from usarmjx.server.runtime.signals import StopSignals, heard_signals
 
-    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    return nullcontext() if ignored else StopSignals()
+    return StopSignals(heard_signals())
+
+
+@contextmanager
+def unwinds_on_signals(patience: float = 0.0, kept: str = "") -> Generator[None]:
+    """On SIGINT or SIGTERM leave the contexts within this one, say so in a line, and end the process.
+
+    A signal that is ignored stays so.
+
+    Args:
+        patience: Time for that, beyond `signals.END_TIME` and at most `signals.FILES_TIME` [s].
+        kept: Said behind the name of the signal.
+    """
+    from usarmjx.server.runtime.signals import StopSignals, heard_signals
+
+    heard = heard_signals()
+    with StopSignals(heard) as signals:
+        signals.finish_files(lambda: time.sleep(patience))
+        try:
+            yield
+        except SystemExit as end:
+            for number in heard:
+                if end.code == 128 + number:
+                    with suppress(OSError):
+                        clear_status()
+                        typer.echo(f"usarmjx: stopped by {number.name}{kept}", err=True)
+            raise
 
 
 def named_roster(ctx: typer.Context, value: Any) -> Any:  # noqa: ANN401 - a roster or several

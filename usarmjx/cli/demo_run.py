@@ -1,5 +1,6 @@
 """The main job on real input: serve a batch, let a client drive a P2AT, draw its path."""
 
+import os
 import re
 import signal
 import subprocess
@@ -23,6 +24,7 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.picture import run_picture, tracked_poses
+from usarmjx.server.runtime.parent_pipe import ParentPipe
 
 if TYPE_CHECKING:
     from usarmjx.models.types.arena import ArenaSpec
@@ -174,23 +176,32 @@ def running_server(errors: Path, console: Console) -> Generator[int]:
     command += ["--no-wireless", "--no-images"]  # it needs neither, and the usual ports may be taken
     with writing(errors):
         log = errors.open("w", encoding="utf-8")
-    with log:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True, cwd=ROOT)
-    try:
-        with console.status(f"starting a server of {WORLDS} worlds"):
-            port = _port_of(process, errors)
-        yield port
-    except BaseException:
-        process.kill()
-        process.wait()
-        raise
-    process.send_signal(signal.SIGINT)
-    try:
-        process.communicate(timeout=STOP_LIMIT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-        raise DemoError(f"the server did not stop within {STOP_LIMIT:g} s") from None
+    with log, ParentPipe() as pipe:
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            cwd=ROOT,
+            env={**os.environ, **pipe.settings},
+            pass_fds=pipe.inherited,
+        )
+        pipe.started()
+        try:
+            with console.status(f"starting a server of {WORLDS} worlds"):
+                port = _port_of(process, errors)
+            yield port
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+        process.send_signal(signal.SIGINT)
+        try:
+            process.communicate(timeout=STOP_LIMIT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise DemoError(f"the server did not stop within {STOP_LIMIT:g} s") from None
     if process.returncode:
         raise DemoError(f"the server ended with status {process.returncode}; see {errors}")
 

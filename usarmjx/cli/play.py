@@ -1,16 +1,15 @@
 """`usarmjx play`: what a policy does, as a picture, in a browser, or served."""
 
 import math
-import signal
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.cli.common import ErrorExit, WorldsOption, ends_on_signals
+from usarmjx.cli.common import ErrorExit, WorldsOption, ends_on_signals, unwinds_on_signals
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
 from usarmjx.cli.ros2_options import Ros2Options
@@ -24,7 +23,7 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
 )
 from usarmjx.cli.setting_options import with_settings
-from usarmjx.cli.startup_messages import announce, say
+from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.signals import StopSignals
 from usarmjx.server.worlds.instances import parse_instances
@@ -105,20 +104,9 @@ def play(
             host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more, radio=heard)
 
 
-@contextmanager
-def drawing_signals(record: Path | None) -> Generator[None]:
+def drawing_signals(record: Path | None) -> AbstractContextManager[object]:
     """While an episode is drawn, end at once on a signal; a recording is closed before, if there is one."""
-    if record is None or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        with ends_on_signals():
-            yield
-        return
-    with StopSignals() as signals:
-        signals.finish_files(lambda: None)  # the main thread leaves its contexts, which close the file
-        try:
-            yield
-        except SystemExit as end:
-            say(f"stopped by {signal.Signals(int(end.code or 0) - 128).name}: {record} ends there")
-            raise
+    return ends_on_signals() if record is None else unwinds_on_signals(kept=f": {record} ends there")
 
 
 def _draw_episode(

@@ -40,7 +40,7 @@ from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import task_text
 from usarmjx.cli.train_plan import TrainOptions, plan_run, recorded_engine, stop_request
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
-from usarmjx.server.runtime.signals import PARENT_PIPE
+from usarmjx.server.runtime.parent_pipe import ParentPipe
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
@@ -339,16 +339,12 @@ def _served(run: Path, task: str, port: int, wanted: bool, offset: int = 0) -> G
     command += ["--port-offset", str(offset)] if offset else []
     if is_own(task):
         command += ["--task", task]
-    # The child ends with this process, however that ends: then nobody holds the other end of its pipe.
-    theirs, ours = os.pipe()
-    settings = {**os.environ, "JAX_PLATFORMS": "cpu", PARENT_PIPE: str(theirs)}
-    child = subprocess.Popen(command, env=settings, pass_fds=(theirs,))
-    os.close(theirs)
-    try:
+    with ExitStack() as waits, ParentPipe() as pipe:
+        settings = {**os.environ, "JAX_PLATFORMS": "cpu", **pipe.settings}
+        child = subprocess.Popen(command, env=settings, pass_fds=pipe.inherited)
+        pipe.started()
+        waits.callback(child.wait)  # behind the end of the pipe
         yield
-    finally:
-        os.close(ours)
-        child.wait()
 
 
 def _train(

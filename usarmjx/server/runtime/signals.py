@@ -8,10 +8,11 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 
 from usarmjx.base.status_line import CLEAR, is_status_shown
+from usarmjx.server.runtime.parent_pipe import end_with_parent
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 END_TIME = 1.0
@@ -20,11 +21,11 @@ FILES_TIME = 10.0
 """Additional time for completing files [s]: a disk may be slow, or a machine busy."""
 FLUSH_TIME = 0.2
 """Time for writing buffered output at the end [s]: its reader may be gone."""
-PARENT_PIPE = "USARMJX_PARENT_PIPE"
-"""Environment variable with the file descriptor of a pipe to the parent process.
 
-The process ends as by SIGTERM when no process holds the other end any more.
-"""
+
+def heard_signals() -> tuple[signal.Signals, ...]:
+    """Return the signals that this process does not ignore, as it does SIGINT behind a shell's `&`."""
+    return tuple(number for number in STOP_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN)
 
 
 class StopSignals:
@@ -37,11 +38,15 @@ class StopSignals:
     the process with the exit code that shells give for it, or, with files to complete, raises SystemExit in
     the main thread.
 
+    Args:
+        numbers: Which signals; others keep their handlers.
+
     Attributes:
         number: The signal that came, 0 before.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, numbers: Sequence[signal.Signals] = STOP_SIGNALS) -> None:
+        self._numbers = numbers
         self.number = 0
         self._stop: Callable[[], None] | None = None
         self._finish: Callable[[], None] | None = None
@@ -65,12 +70,10 @@ class StopSignals:
             before = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
             self._undo.callback(wakeup.close)  # which ends the thread
             self._undo.callback(signal.set_wakeup_fd, before)
-            for number in STOP_SIGNALS:
+            for number in self._numbers:
                 self._undo.callback(signal.signal, number, signal.signal(number, self._interrupt))
             threading.Thread(target=self._watch, args=(heard,), name="signals", daemon=True).start()
-            parent = os.environ.get(PARENT_PIPE)
-            if parent is not None:
-                threading.Thread(target=_outlive_nobody, args=(int(parent),), daemon=True).start()
+            end_with_parent()
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -89,7 +92,7 @@ class StopSignals:
     def _watch(self, heard: socket.socket) -> None:
         """Wait for a signal, whose number Python writes into the socket; then end the process."""
         with heard:
-            while self.number not in STOP_SIGNALS:
+            while self.number not in self._numbers:
                 data = heard.recv(1)
                 if not data:
                     return
@@ -106,13 +109,6 @@ class StopSignals:
             if stop is None:
                 _end_unfinished(self.number)
             exit_now(0)
-
-
-def _outlive_nobody(pipe: int) -> None:
-    """End this process when the one at the other end of a pipe has ended."""
-    with contextlib.suppress(OSError):
-        os.read(pipe, 1)
-    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _end_unfinished(number: int) -> None:
