@@ -9,11 +9,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 
 from tests.train.handmade import policy_file
 from usarmjx.base.checked_cache import read_sealed, seal
 from usarmjx.base.kept_json import kept_text
 from usarmjx.base.settings.json_file import read_json_lines
+from usarmjx.cli import completion
 from usarmjx.engines.planar import responses
 from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.file import ChannelName, RecordingFile
@@ -21,13 +23,14 @@ from usarmjx.recording.inputs import StepState
 from usarmjx.recording.reader import Recording
 from usarmjx.sim.calibration import _measured
 from usarmjx.sim.trials.obstacles import _measured_before, success_text
+from usarmjx.sweeps.results import RunResult, read_result
 from usarmjx.sweeps.spec import load_spec
 from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, write_sweep
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part, write_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.learning.run_record import RunRecord, load_record
+from usarmjx.train.learning.run_record import SET_FILE, RunRecord, load_record, load_seeds, save_seeds
 from usarmjx.train.policies.policy_file import read_arrays
 from usarmjx.train.policies.sources import load_exported
 
@@ -71,6 +74,22 @@ def _cells(path):
     return read_sweep(path.parent)
 
 
+def _seeds(path):
+    (path.parent / SET_FILE).write_bytes(path.read_bytes())
+    return load_seeds(path.parent)
+
+
+def _names(path):
+    """Names for shells; without an entry that is whole they are asked for again, here in vain."""
+    folder = path.parent / "usarmjx"
+    folder.mkdir(exist_ok=True)
+    (folder / f"names-{completion._fingerprint()}.json").write_bytes(path.read_bytes())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(path.parent))
+        patch.setattr(completion, "_asked", lambda: {"arenas": []})
+        return completion.names_of("arenas") or None
+
+
 def _run(path):
     (path.parent / "config.json").write_bytes(path.read_bytes())
     return load_record(path.parent)
@@ -111,7 +130,14 @@ def _written():
     with TemporaryDirectory() as name:
         folder = Path(name)
         rows = {"scores": (0.25,), "steps": (10,), "bad": (False,)}
-        write_cell(folder, CellRecord(key="1f", settings={"task": "explore"}, engine="c", **rows))
+        settings = {"task": "explore", "policy": "random"}
+        cell = CellRecord(key="1f", settings=settings, engine="c", **rows)
+        write_cell(folder, cell)
+        result = RunResult(
+            suite="mine-v1", suite_digest="0f", split="test", method="m", run="random", cells=(cell,)
+        )
+        result.write(folder / "m.result.json")
+        save_seeds(folder, (3, 4))
         write_sweep(folder, "mine", "", ("seed",), ("1f",))
         group = AgentGroup("P2AT", ("p0",), 3, 2)
         about = {"groups": (group,), "privileged_size": 0, "episode_steps": 100, "period": 0.2}
@@ -126,12 +152,14 @@ def _written():
             file.put(lambda file, at=at, said=said: file.write(ChannelName(0, "events"), at + 0.01, said))
         file.close()
         names = ("cells/1f.json", "sweep.json", "config.json", "learner_0.npz", "drive.mcap")
+        names += ("m.result.json", SET_FILE)
         return [(folder / one).read_bytes() for one in names]
 
 
 def kept_files():
     """Return the kinds that are kept: content and reader by name; None or UsageError is a refusal."""
-    cell, cells, run, arrays, recording = _written()
+    cell, cells, run, arrays, recording, result, seeds = _written()
+    names = json.dumps({"arenas": ["yellow", "field"]})
     response = dataclasses.asdict(responses.Response(**responses.packaged_responses()["P2AT"]["response"]))
     about = {"key": responses.description_key(ROBOT), "response": response}
     meta = {"format": FORMAT, "iteration": 3, "agent_steps": 1000, "score": 0.5}
@@ -145,6 +173,9 @@ def kept_files():
         "arrays.npz": (arrays, _arrays),
         "kept-policy.npz": (policy_file(io.BytesIO()).getvalue(), _policy),
         "recording.mcap": (recording, _recording),
+        "kept.result.json": (result, read_result),
+        "seeds.json": (seeds, _seeds),
+        "names.json": (f"{completion._checksum(names)}\n{names}".encode(), _names),
     }
 
 

@@ -139,6 +139,10 @@ def replay(
         str | None, typer.Option(help="Suite, if it is not the bundled one of its name.")
     ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each task.")] = 3,
+    run: Annotated[
+        str | None,
+        typer.Option(help="The run in the file, if you trust its code: FILE.py:FUNCTION or client:COMMAND."),
+    ] = None,
 ) -> None:
     """Play the first buildings of a results file again, and print the differences."""
     with ErrorExit(), ends_on_signals():
@@ -153,7 +157,7 @@ def replay(
         from usarmjx.sweeps.suite import load_suite
 
         result = read_result(file)
-        again = play_again(result, load_suite(find_suite(suite or result.suite)), episodes)
+        again = play_again(result, load_suite(find_suite(suite or result.suite)), episodes, run=run)
         for one in again:
             buildings = "same buildings" if one.same_buildings else "OTHER BUILDINGS"
             typer.echo(

@@ -13,7 +13,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import random_policy
-from usarmjx.train.make import find_baseline
+from usarmjx.train.make import find_baseline, is_own
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.own_policy import check_own_policy, own_policy, split_own_policy
 from usarmjx.train.policies.sources import PolicySource, load_policy
@@ -74,6 +74,16 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
         f"policy is {policy!r}, expected {BASELINE}, {PACKAGED}, {RANDOM}, a run's folder, an exported file, "
         f"file.py:function, or one of {', '.join(KINDS)} as {{kind: which}}"
     )
+
+
+def runs_code(policy: object) -> bool:
+    """Return whether a setting `policy` names a program, or a module to import.
+
+    Raises:
+        UsageError: See `find_driver`.
+    """
+    kind, what, _ = _said(policy)
+    return kind in ("client", "python") or (kind == BASELINE and is_own(what))
 
 
 def find_driver(policy: object, task: str) -> CellDriver:

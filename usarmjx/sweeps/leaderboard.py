@@ -9,9 +9,11 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.settings.files import shown
+from usarmjx.sweeps.drivers import RANDOM, parse_policy, runs_code
 from usarmjx.sweeps.play import BatchWork, play_batch
 from usarmjx.sweeps.report import aligned
-from usarmjx.sweeps.results import RunResult, read_results
+from usarmjx.sweeps.results import RunResult, read_results, run_digest
 from usarmjx.sweeps.spec import find_suite
 from usarmjx.sweeps.standings import standings_of, standings_report
 from usarmjx.sweeps.suite import BenchmarkSuite, load_suite
@@ -94,8 +96,44 @@ class ReplayedCell:
         return float(np.max(np.abs(self.after - self.before)))
 
 
+def check_origin(result: RunResult, suite: BenchmarkSuite, run: str | None = None) -> None:
+    """Refuse a result that does not fit its suite or the policies here, or that names code by itself.
+
+    Results come from other people; a function or a client that one names would run their code.
+
+    Args:
+        result: The result.
+        suite: Its suite.
+        run: Run that the user has named; None: none.
+
+    Raises:
+        UsageError: Says what does not fit, or names the option for the run.
+    """
+    if result.suite_digest != suite.digest:
+        raise UsageError(f"{result.method}: results of suite {result.suite_digest}, this is {suite.digest}")
+    tasks = {cell["task"] for cell in suite.spec(result.split, result.method, [RANDOM]).cells}
+    for cell in result.cells:
+        task = cell.settings["task"]
+        policy = parse_policy(result.run.replace("{task}", task))
+        if task not in tasks:
+            raise UsageError(f"{result.method}: suite {suite.name} has no task {shown(task)}")
+        if cell.settings["policy"] != policy:
+            raise UsageError(f"{result.method}, {task}: is not played by the run {shown(result.run)}")
+        if run != result.run and runs_code(policy):
+            raise UsageError(
+                f"{result.method}: names the run {shown(result.run)}, whose code it does not run by itself; "
+                f"if you trust that code, name it: --run {shown(result.run)}"
+            )
+        if result.policies.get(task) != run_digest(result.run, task):
+            raise UsageError(f"{result.method}, {task}: the policy of {shown(result.run)} has changed")
+
+
 def replay(
-    result: RunResult, suite: BenchmarkSuite, episodes: int = 3, cells: Sequence[int] | None = None
+    result: RunResult,
+    suite: BenchmarkSuite,
+    episodes: int = 3,
+    cells: Sequence[int] | None = None,
+    run: str | None = None,
 ) -> list[ReplayedCell]:
     """Play the first episodes of a run again.
 
@@ -104,13 +142,12 @@ def replay(
         suite: Its suite.
         episodes: Number of episodes of each cell.
         cells: Numbers of the cells; None: the first cell of each task.
+        run: The run, if that is a function or a client; None: results do not run code.
 
     Raises:
-        UsageError: Results of another version of the suite, a policy that is not here or has changed, or a
-            cell that fails.
+        UsageError: See `check_origin`; or a cell fails.
     """
-    if result.suite_digest != suite.digest:
-        raise UsageError(f"{result.method}: results of suite {result.suite_digest}, this is {suite.digest}")
+    check_origin(result, suite, run)
     tasks = [cell.settings["task"] for cell in result.cells]
     chosen = [tasks.index(task) for task in dict.fromkeys(tasks)] if cells is None else list(cells)
     found: list[ReplayedCell] = []

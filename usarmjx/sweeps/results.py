@@ -12,9 +12,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.kept_json import kept_text, read_kept
+from usarmjx.base.settings import default_reader
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.contents import policy_digest
 from usarmjx.sweeps.drivers import find_driver, parse_policy, script_of
@@ -104,29 +105,24 @@ def read_result(file: Path) -> RunResult:
     Raises:
         UsageError: It is missing, damaged, or no results file; names it.
     """
-    try:
-        content = read_kept(file, most=MOST_RESULT_BYTES)
-        if content.pop("format", None) != FORMAT:
-            raise UsageError(f"{file}: is no results file of this version (format {FORMAT})")
-        cells = tuple(_cell(row) for row in content.pop("cells"))
-        return RunResult(**content, cells=cells)
-    except (TypeError, KeyError, ValueError, AttributeError) as error:
-        raise UsageError(f"{file}: is no results file of a suite: {error!r}"[:300]) from error
-    except SpecError as error:
-        raise UsageError(str(error)) from error
+    content = read_kept(file, most=MOST_RESULT_BYTES)
+    if content.pop("format", None) != FORMAT:
+        raise UsageError(f"{file}: is no results file of this version (format {FORMAT})")
+    result = default_reader().from_data(RunResult, content, where=str(file))
+    for number, one in enumerate(result.cells, 1):
+        if fault := _fault(one):
+            raise UsageError(f"{file}: cell {number}: {fault}")
+    return result
 
 
-def _cell(row: dict[str, Any]) -> CellRecord:
-    tuples: dict[str, Any] = {name: tuple(row[name]) for name in ("scores", "steps", "bad", "buildings")}
-    metrics = {name: tuple(values) for name, values in row["metrics"].items()}
-    content: dict[str, Any] = {**row, **tuples, "metrics": metrics}
-    one = CellRecord(**content)
-    rows = [one.steps, one.bad, *metrics.values(), *([one.buildings] if one.buildings else [])]
+def _fault(one: CellRecord) -> str:
+    """Return what is wrong with a cell of a results file; empty: nothing."""
+    if not isinstance(one.settings.get("task"), str) or "policy" not in one.settings:
+        return "has no task or policy"
+    rows = [one.steps, one.bad, *one.metrics.values(), *([one.buildings] if one.buildings else [])]
     if any(len(column) != len(one.scores) for column in rows):
-        raise ValueError("a cell's rows have different numbers of episodes")
-    if not np.isfinite([*map(float, one.scores)]).all():
-        raise ValueError("a score is not finite")
-    return one
+        return "its rows have different numbers of episodes"
+    return "" if np.isfinite(one.scores).all() else "a score is not finite"
 
 
 def read_results(places: Sequence[Path]) -> list[RunResult]:

@@ -14,7 +14,7 @@ from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part, write_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.learning.run_record import RECORD_FILE, RunRecord, load_record
+from usarmjx.train.learning.run_record import RECORD_FILE, SET_FILE, RunRecord, load_record, load_seeds
 from usarmjx.train.policies.policy_file import read_arrays
 
 LINE = {"iteration": 1, "agent_steps": 1024, "steps_per_s": 86.4, "score": 0.0}
@@ -143,3 +143,10 @@ def test_no_flipped_bit_changes_the_settings_of_a_run(tmp_path):
             continue
     file.write_text("[]")
     assert refused(load_record, tmp_path).startswith(f"{file}: is no mapping")
+
+
+@pytest.mark.parametrize("seeds", ["[1e999]", "[1.5]", '"34"', "{}", "[null]"])
+def test_seeds_that_are_none_are_one_line(tmp_path, seeds):
+    file = tmp_path / SET_FILE
+    file.write_text(kept_text({"format": 1, "seeds": json.loads(seeds)}).replace("Infinity", "1e999"))
+    assert refused(load_seeds, tmp_path).startswith(f"{file}: seeds")

@@ -19,7 +19,7 @@ class ParentPipe:
 
     Attributes:
         settings: Part of the child's environment.
-        inherited: The child's descriptors: `pass_fds` of `subprocess.Popen`.
+        inherited: Descriptors that the child keeps open.
     """
 
     def __init__(self) -> None:

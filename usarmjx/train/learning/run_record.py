@@ -149,6 +149,14 @@ def load_record(folder: Path) -> RunRecord:
         raise UsageError(f"{file} does not read: {error}") from error
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Seeds:
+    """Content of `SET_FILE`."""
+
+    format: int
+    seeds: tuple[int, ...]
+
+
 def seed_folder(folder: Path, seed: int) -> Path:
     """Return the folder of a seed's run in the folder of several that train together."""
     return Path(folder) / f"seed-{seed}"
@@ -177,6 +185,6 @@ def load_seeds(folder: Path) -> tuple[int, ...]:
         values = read_kept(file)
         if values["format"] != FORMAT:
             raise UsageError(f"{file} was written by another version of usarmjx")
-        return tuple(int(seed) for seed in values["seeds"])
-    except (KeyError, TypeError, ValueError) as error:
+        return tuple(default_reader().from_data(_Seeds, values, where=str(file)).seeds)
+    except KeyError as error:
         raise UsageError(f"{file} does not read: {error}") from error
