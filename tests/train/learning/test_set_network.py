@@ -175,7 +175,7 @@ def test_networks_that_observations_do_not_fit_are_refused():
 
 
 @pytest.mark.parametrize(("kind", "layout"), [("set", PLAIN), ("cnn", PICTURED)])
-def test_a_toy_is_learned_and_the_run_goes_on_to_the_bit(kind, layout, tmp_path):
+def test_a_toy_is_learned(kind, layout, tmp_path):
     """At random a robot is right in 1 of 3.5 choices."""
     sizes = {"network": kind, "hidden_sizes": (32, 32), "critic_hidden_sizes": (16, 16)}
     config = Config(

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from usarmjx.train.baselines.meetings import has_courier, meeting_goal
 from usarmjx.train.evaluation.yardsticks import measure_teams
 from usarmjx.train.tasks.goal_features import (
     FIRST_GOAL,
     FIRST_MASK,
+    FIRST_MATE,
     GOAL_NUMBERS,
     GOALS,
+    MATE_NUMBERS,
     MATES,
     OBSERVATION_SIZE,
     chosen_goal,
@@ -55,6 +58,40 @@ def test_news_are_brought_home_in_time(facts, home):
     seen = observation(**{"going": 5, **facts})
     assert chosen_goal(seen, CELL, report=True) == (0 if home else 5)
     assert chosen_goal(seen, CELL, report=False) == 5
+
+
+@pytest.mark.parametrize(
+    ("facts", "home"),
+    [
+        # An episode of 160 s: a meeting after 80 s, when 80 s are left; 20 s of way and 8 s to spare.
+        ({"news": 100.0, "seconds": 109.0}, False),
+        ({"news": 100.0, "seconds": 107.0}, True),
+        ({"news": 20.0, "seconds": 107.0}, False),
+        ({"news": 5000.0, "seconds": 140.0}, False),  # however much there is
+        ({"news": 100.0, "seconds": 79.0}, False),  # the next one is at the end
+        ({"news": 100.0, "seconds": 27.0}, True),
+        ({"news": 100.0, "seconds": 79.0, "going": 0}, True),
+    ],
+)
+def test_meetings_are_kept_at_half_time_and_at_the_end(facts, home):
+    seen = observation(**{"going": 5, **facts})
+    seen[0] = facts["seconds"] / 160.0
+    assert meeting_goal(seen, CELL) == (0 if home else 5)
+
+
+def test_one_robot_carries_what_another_knows():
+    """The base is 6 m ahead; the other robot goes there."""
+    seen = observation(going=5, news=100.0, seconds=27.0)
+    seen[0] = 27.0 / 160.0
+    mate = seen[FIRST_MATE : FIRST_MATE + MATE_NUMBERS]
+    mate[:3], mate[8], mate[9] = (1.0, 3.0 / 12.0, 0.0), 1.0, 0.01  # 3 m from the base; 10 squares untold
+    assert has_courier(seen)
+    assert meeting_goal(seen, CELL) == 5
+    for place, value in ((0, 0.0), (1, -1.0 / 12.0), (8, 0.0), (9, 0.2)):  # none, farther, elsewhere, untold
+        kept, mate[place] = mate[place], value
+        assert not has_courier(seen)
+        assert meeting_goal(seen, CELL) == 0
+        mate[place] = kept
 
 
 @pytest.mark.thorough

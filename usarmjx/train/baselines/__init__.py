@@ -13,6 +13,7 @@ from usarmjx.train.baselines.frontier import frontier_policy, relay_policy
 from usarmjx.train.baselines.goal import BugCarry, bug_action, bug_policy, initial_bug_carry
 from usarmjx.train.baselines.goals import reporting_policy, silent_policy
 from usarmjx.train.baselines.hover import inspection_policy
+from usarmjx.train.baselines.meetings import rendezvous_policy
 from usarmjx.train.baselines.pursuit import pursuit_policy
 from usarmjx.train.baselines.roam import roam_policy
 from usarmjx.train.baselines.soccer import soccer_policy
@@ -30,6 +31,7 @@ __all__ = [
     "inspection_policy",
     "pursuit_policy",
     "relay_policy",
+    "rendezvous_policy",
     "reporting_policy",
     "roam_policy",
     "silent_policy",

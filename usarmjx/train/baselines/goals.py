@@ -13,8 +13,8 @@ from usarmjx.train.mapping.way_driving import frontier_action
 from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_features import GOALS, chosen_goal
 
-Planner = Callable[[jax.Array], jax.Array]
-"""From observations (..., n) to actions (..., action_size)."""
+Chooser = Callable[[jax.Array, float], jax.Array]
+"""From observations (..., n) and the side of a map's squares [m] to goals (...,)."""
 
 
 def goal_planner(env: Env, *, report: bool) -> Policy:
@@ -27,18 +27,37 @@ def goal_planner(env: Env, *, report: bool) -> Policy:
     Raises:
         UsageError: Another task.
     """
-    task = env.task
-    if not isinstance(task, ExploreBase):
-        raise UsageError(f"this planner chooses goals as explore-v3 has them, not as {env.name} does")
-    choose = partial(chosen_goal, square=task.cell, report=report)
+    if _task_of(env).discrete:
+        return policy_of_choices(env, partial(chosen_goal, report=report))
 
     def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        if task.discrete:
-            return carry, tuple(jnp.eye(GOALS)[choose(seen)] for seen in obs)
         return carry, tuple(frontier_action(seen, env.episode_steps) for seen in obs)
 
     return Policy(initial_carry=lambda worlds: (), act=act)
+
+
+def policy_of_choices(env: Env, choose: Chooser) -> Policy:
+    """Return the policy that takes the goals that a function chooses; its carry is empty.
+
+    Raises:
+        UsageError: Another task, or one whose actions are speeds.
+    """
+    task = _task_of(env)
+    if not task.discrete:
+        raise UsageError(f"this planner chooses goals, but actions of {env.name} are {task.actions}")
+
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+        del key
+        return carry, tuple(jnp.eye(GOALS)[choose(seen, task.cell)] for seen in obs)
+
+    return Policy(initial_carry=lambda worlds: (), act=act)
+
+
+def _task_of(env: Env) -> ExploreBase:
+    if not isinstance(env.task, ExploreBase):
+        raise UsageError(f"this planner chooses goals as explore-v3 has them, not as {env.name} does")
+    return env.task
 
 
 def reporting_policy(env: Env) -> Policy:

@@ -26,6 +26,7 @@ from usarmjx.base.markdown import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.baselines.goals import reporting_policy, silent_policy
+from usarmjx.train.baselines.meetings import rendezvous_policy
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -160,8 +161,13 @@ TEAMS: dict[str, Team] = {
 """Teams that need no policy of the user's own, by name."""
 
 
-GOAL_TEAMS: dict[str, Team] = {"frontier": (unchanged, silent_policy), "oracle": (knowing, reporting_policy)}
-"""Further ones for `explore-v3`: robots that never go home, and those that know the building and hear all."""
+GOAL_TEAMS: dict[str, Team] = {
+    "frontier": (unchanged, silent_policy),
+    "rendezvous": (unchanged, rendezvous_policy),
+    "oracle": (knowing, reporting_policy),
+}
+"""Further ones for `explore-v3`: robots that never go home, that meet there at agreed times, and that know
+the building and hear all."""
 
 
 def named_team(name: str) -> Team | None:
