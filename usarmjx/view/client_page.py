@@ -11,6 +11,8 @@ from pathlib import Path
 
 import viser
 
+from usarmjx.view.label_script import LABEL_SCRIPT
+
 PRODUCT = "usarmjx"
 MARK = "<title>Viser</title>"
 """Text of viser's page that we replace; a version without it is served as it is."""
@@ -131,9 +133,8 @@ def page_text(original: str) -> str:
     if MARK not in original:
         return original
     style = STYLE.replace("BACKGROUND", BACKGROUND)
-    head = (
-        f"<title>{PRODUCT}</title><style>{style}</style><script>{SCRIPT.replace('PRODUCT', PRODUCT)}</script>"
-    )
+    script = SCRIPT.replace("PRODUCT", PRODUCT) + LABEL_SCRIPT
+    head = f"<title>{PRODUCT}</title><style>{style}</style><script>{script}</script>"
     before, _, after = original.partition(MARK)
     first, _, rest = before.partition('<link\n      rel="icon"')
     if rest:

@@ -9,7 +9,15 @@ import viser
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.base import robot_colors
-from usarmjx.view.layers.nodes import TEXT_SCALE, UPRIGHT, InstanceNode, LineNode, NodeLayer, PointNode
+from usarmjx.view.layers.nodes import (
+    TAG_TEXT_SCALE,
+    TEXT_SCALE,
+    UPRIGHT,
+    InstanceNode,
+    LineNode,
+    NodeLayer,
+    PointNode,
+)
 
 CELL = 1.2
 """Side of a cell of the grid: the side of an element that USARSim's arenas are built of [m]."""
@@ -105,7 +113,7 @@ class TagLayer(NodeLayer):
                 str(tag.number),
                 position=tuple(np.add(tag.pos, (0.0, 0.0, TAG_TEXT_HEIGHT))),
                 anchor="bottom-center",
-                font_screen_scale=TEXT_SCALE,
+                font_screen_scale=TAG_TEXT_SCALE,
                 depth_test=True,
             )
         self._discs = InstanceNode(self.scene, f"{self.root}/discs", disc())

@@ -14,6 +14,8 @@ from usarmjx.view.layers.base import Layer
 
 TEXT_SCALE = 0.9
 """Size of texts on the screen, the same at any distance; 1 is the page's text."""
+LINK_TEXT_SCALE, TAG_TEXT_SCALE = TEXT_SCALE - 0.01, TEXT_SCALE - 0.02
+"""Sizes of the texts of links and tags, equal to the eye: of two that overlap the larger keeps its place."""
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 """The quaternion of no rotation, w first."""
 

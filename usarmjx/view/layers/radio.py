@@ -8,7 +8,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.links import MIN_ANTENNA_HEIGHT
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.base import scale_colors
-from usarmjx.view.layers.nodes import TEXT_SCALE, LineNode, NodeLayer
+from usarmjx.view.layers.nodes import LINK_TEXT_SCALE, LineNode, NodeLayer
 
 GAP_SHARE, GAP_SPACING = 0.025, 0.05
 """Length of the gap for a wall, and distance of two gaps' middles, as shares of the link."""
@@ -93,7 +93,7 @@ class RadioLayer(NodeLayer):
         while len(self._labels) < len(texts):
             name = f"{self.root}/text{len(self._labels)}"
             self._labels.append(
-                self.scene.add_label(name, "", anchor="center-center", font_screen_scale=TEXT_SCALE)
+                self.scene.add_label(name, "", anchor="center-center", font_screen_scale=LINK_TEXT_SCALE)
             )
         for number, label in enumerate(self._labels):
             label.visible = number < len(texts)
