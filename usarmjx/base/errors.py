@@ -17,6 +17,8 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from types import TracebackType
 
+from usarmjx.base.import_notes import without_notes
+
 MAX_QUOTATION = 200
 """Longest quotation of a foreign exception's message [characters]."""
 
@@ -108,10 +110,11 @@ class extra:
     """
 
     def __init__(self, name: str) -> None:
-        self._name = name
+        self._name, self._quiet = name, without_notes()
 
     def __enter__(self) -> None:
-        """Do nothing."""
+        """Keep notes on missing optional packages off the standard output."""
+        self._quiet.__enter__()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -121,6 +124,7 @@ class extra:
         Raises:
             MissingExtraError: A module was not found, and it is not part of usarmjx.
         """
+        self._quiet.__exit__(None, None, None)
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and missing.partition(".")[0] != "usarmjx":
             from usarmjx.base.installation import install_command
