@@ -172,7 +172,14 @@ def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Calla
 @contextlib.contextmanager
 def _target(options: TargetOptions, records: bool = False) -> "Iterator[Target]":
     """Yield whom the options name."""
-    from benchmarks.chaos.target import Target, check_loopback, local_process, parse_host_port, started
+    from benchmarks.chaos.target import (
+        Target,
+        check_listening,
+        check_loopback,
+        local_process,
+        parse_host_port,
+        started,
+    )
 
     if options.own == (options.address is not None):
         raise UsageError("name either HOST:PORT of a server that runs, or --self")
@@ -183,6 +190,7 @@ def _target(options: TargetOptions, records: bool = False) -> "Iterator[Target]"
     host, port = parse_host_port(options.address)
     if not options.own_server:
         check_loopback(host)
+    check_listening(host, port)
     process = options.pid or (None if options.own_server else local_process(port))
     yield Target(
         host,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.serving.clients import HOST
+from benchmarks.serving.clients import HOST, connect
 from benchmarks.serving.process import METRICS, OWN_TREE, ROSBRIDGE, VIEWER, ServerProcess, SourceTree
 from usarmjx.base.errors import UsageError
 from usarmjx.server.network.ports import LAST_PORT
@@ -137,6 +137,18 @@ def check_loopback(host: str) -> None:
         raise UsageError(
             f"{host} is not this machine's loopback: --own-server says that it is yours to attack"
         )
+
+
+def check_listening(host: str, port: int) -> None:
+    """Refuse an address where nobody takes a connection.
+
+    Raises:
+        UsageError: There is no server.
+    """
+    try:
+        connect(port, host).close()
+    except OSError as error:
+        raise UsageError(f"{host}:{port}: {error.strerror or error}; start usarmjx serve first") from error
 
 
 def local_process(port: int) -> int | None:

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.registry import Registry, unknown_name
 from usarmjx.models.files.resources import search_path
@@ -42,6 +42,8 @@ AUTO = "auto"
 """Name of no engine: the best one for a purpose."""
 AGENTS = ("zero", "random")
 """Policies without training, see `usarmjx.train.policies.untrained`."""
+RUN_KINDS = ("client", "run")
+"""Kinds of runs before a colon, beside baselines."""
 RUN_WORDS = ("baseline", "packaged", "random", "by-hand", "shipped")
 """Policies of `usarmjx suite run` and of sweeps that each task has one of."""
 TEAM_WORDS = ("random", "one", "baseline", "perfect-radio", "packaged")
@@ -154,13 +156,17 @@ def check_run(run: str) -> None:
 
     Raises:
         UnknownNameError: There is nothing of that name; gives the closest one and all.
+        UsageError: A function's file is not there.
     """
     kind, _, value = run.partition(":")
     if kind == "baseline" and value:
         check_name("baseline", value)
         return
+    file, own, _ = run.rpartition(".py:")
+    if own and "{task}" not in file and not Path(f"{file}.py").is_file():
+        raise UsageError(f"{file}.py: there is no such file")
     known = run in RUN_WORDS or run in POLICIES or Path(run).exists()
-    if not known and ":" not in run and "{task}" not in run:
+    if not (known or own or "{task}" in run or (kind in RUN_KINDS and value)):
         raise UnknownNameError(no_policy(run, POLICIES, RUN_WORDS))
 
 
