@@ -159,6 +159,26 @@ def test_one_thread_may_wait_for_another(talk):
     assert talk.said[2:] == ["compiled, 13 s"]
 
 
+def test_one_that_follows_a_reported_end_has_a_clock_of_its_own(talk):
+    """Tracing is heard of when it ends: under load that is long after the end of what came before."""
+    talk.hear(LOWERED)
+    talk.wait(4)
+    talk.hear(COMPILED, 4.0)
+    talk.wait(9)
+    talk.hear("jaxpr_trace_duration", 8.0)
+    talk.hear(LOWERED)
+    talk.wait(4)
+    talk.hear(COMPILED, 4.0)
+    talk.wait(6)
+    assert talk.said == [
+        "compiling ... 3 s",
+        "compiled, 4 s",
+        "compiling ... 8 s",
+        "compiling ... 10 s",
+        "compiled, 12 s",
+    ]
+
+
 COMPILES = """
 from usarmjx.cli.startup_messages import announce
 announce("a start ...")

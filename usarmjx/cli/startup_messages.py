@@ -49,6 +49,7 @@ class CompilationWatch:
         self._say, self._at_work, self._interval = say, at_work, interval
         self._compiling: set[int] = set()  # threads in which XLA may be at work
         self._begun, self._last, self._next = 0.0, -1e9, FIRST
+        self._is_over = False  # an end was reported
         self._lock = threading.Lock()
 
     def heard(self, event: str, duration: float, now: float, thread: int = 0) -> None:
@@ -63,9 +64,10 @@ class CompilationWatch:
         if not event.startswith(COMPILE_EVENT_PREFIX):
             return
         with self._lock:
-            if not self._busy() and now - duration - self._last > GAP:
-                self._begun, self._next = now - duration, FIRST
-            self._last = now
+            if not self._busy() and (self._is_over or now - duration - self._last > GAP):
+                # What was traced while an end was reported counts from then on: the clock never goes back.
+                self._begun, self._next = max(now - duration, self._last), FIRST
+            self._last, self._is_over = now, False
             self._compiling.discard(thread)
             if event.endswith(LOWERED):
                 self._compiling.add(thread)
@@ -84,7 +86,7 @@ class CompilationWatch:
                     self._next = length - length % self._interval + self._interval
             elif self._next > FIRST:
                 self._say(f"compiled, {length:.0f} s")
-                self._next = FIRST
+                self._next, self._is_over = FIRST, True
 
 
 def say(text: str) -> None:
