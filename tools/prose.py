@@ -53,7 +53,7 @@ NOUN_CLAUSE = re.compile(
     re.IGNORECASE,
 )
 """Clause in the place of a noun in a message or a help text; a question may have one."""
-APART = ("usarmjx/view/", "usarmjx/server/viewing/", "docs/viewing.md")
+APART = ("usarmjx/view/", "usarmjx/server/viewing/")
 """Folders and pages of the live page, whose texts are not checked."""
 
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)

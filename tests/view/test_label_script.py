@@ -27,12 +27,18 @@ READ = """(() => {
  const {matrixWorldInverse, projectionMatrix} = camera;
  return {boards, view: [...matrixWorldInverse.elements], projection: [...projectionMatrix.elements]};
 })()"""
-SWITCH_OFF = "window.__viserMutable.scene.onBeforeRender = () => {}"
-RENDER = "window.__viserMutable.requestRender()"
+SWITCH = """(() => {
+ const {scene, requestRender} = window.__viserMutable;
+ window.arrange ??= scene.onBeforeRender;
+ scene.onBeforeRender = ON ? window.arrange : () => {};
+ requestRender();
+ return new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))));
+})()"""
 
 
-def rectangles(window):
-    """Left, low, right and high of each visible text, as the shader has them [pixels] (texts, 4)."""
+def rectangles(window, on):
+    """Left, low, right and high of each visible text [pixels] (texts, 4), by the shader, and the view."""
+    window.js(SWITCH.replace("ON", "true" if on else "false"))
     seen = window.js(READ)
     view, projection = (np.array(seen[key]).reshape(4, 4).T for key in ("view", "projection"))
     found = []
@@ -50,7 +56,7 @@ def rectangles(window):
                 clip = projection @ view @ [*world, 1.0]
                 ends += (clip[:2] / clip[3] * board["height"] / 2).tolist()
             found.append(ends)
-    return np.array(found).reshape(-1, 4)
+    return np.array(found).reshape(-1, 4), view
 
 
 def overlaps(found):
@@ -77,21 +83,16 @@ def test_texts_of_robots_that_meet_do_not_cover_each_other(meeting):
     texts = len(PLACES) * (len(PLACES) + 1) // 2  # names and links
 
     def drawn():
+        """Texts with and without the script from the same view, once all are there."""
         page.refresh()
-        window.js(RENDER)
-        return rectangles(window) if window.js("!!window.__viserMutable?.scene") else np.zeros((0, 4))
-
-    def arranged():
-        found = drawn()
-        return len(found) >= len(PLACES) and overlaps(found) == 0
+        (kept, first), (plain, second) = rectangles(window, on=True), rectangles(window, on=False)
+        whole = len(plain) >= texts and len(plain) > len(kept) >= len(PLACES)
+        return (kept, plain) if whole and np.array_equal(first, second) else None
 
     window.wait(lambda: page.refresh() or page.viewers)
-    window.wait("!!window.__viserMutable?.scene")
-    window.wait(arranged)
-    kept = rectangles(window)
-    window.js(SWITCH_OFF)
-    window.wait(lambda: len(drawn()) >= texts)
-    plain = drawn()
+    window.wait("!!window.__viserMutable?.scene?.onBeforeRender.length")
+    kept, plain = window.wait(drawn)
+    assert overlaps(kept) == 0
     assert overlaps(plain) > 0, "they would"
     heights = (plain[:, 3] - plain[:, 1]).round(2)
     names = heights == heights.max()
