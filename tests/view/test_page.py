@@ -10,8 +10,9 @@ from tests.view.simple_worlds import CAMERA_AT, HandMadeSource, drawing_of
 from tests.view.visitor import until, visiting
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.view import page as page_module
+from usarmjx.view.client_page import STYLE
 from usarmjx.view.layers import LAYERS
-from usarmjx.view.page import FREE, NEXT, SIDE_BY_SIDE, TOGGLE, ViewerPage
+from usarmjx.view.page import BOARD_SHARE, FREE, NEXT, SIDE_BY_SIDE, TOGGLE, ViewerPage
 
 
 @pytest.fixture
@@ -77,6 +78,10 @@ def test_browsers_get_a_scoreboard_of_the_chosen_world_and_a_panel_beside_the_pi
         assert position == {"kind": "edge", "edge": "right"}
         page.post(lambda: page.choose_world(1))
         until(page, lambda: 'data-world="three yards 1"' in str(visitor.heard))
+
+
+def test_a_scoreboard_of_many_robots_scrolls_in_the_corner_that_the_arena_leaves_free():
+    assert f"max-height:{100 * BOARD_SHARE[1]:.0f}vh;overflow:auto" in STYLE
 
 
 def test_layers_can_be_on_at_first_that_usually_are_not(page):
