@@ -78,27 +78,27 @@ class ObservationLayout:
 
     @property
     def own_span(self) -> Span:
-        """Where the robot's own numbers stand."""
+        """Place of the robot's own numbers."""
         return Span(0, 1, self.own)
 
     @property
     def others_span(self) -> Span:
-        """Where the others stand."""
+        """Place of the others."""
         return Span(self.own_span.end, *self.others)
 
     @property
     def choices_span(self) -> Span:
-        """Where the choices stand."""
+        """Place of the choices."""
         return Span(self.others_span.end, *self.choices)
 
     @property
     def picture_span(self) -> Span:
-        """Where the picture stands."""
+        """Place of the picture."""
         return Span(self.choices_span.end, 1, self.picture_size.size)
 
     @property
     def mask_span(self) -> Span:
-        """Where it stands which choices there are."""
+        """Place of the mask of valid choices."""
         return Span(self.picture_span.end, self.choices[0], 1)
 
     @property

@@ -61,7 +61,7 @@ class Mates(NamedTuple):
 
 
 class GoalView(NamedTuple):
-    """What else goals are judged by.
+    """Further inputs of the judgement of goals.
 
     Attributes:
         base: Slot of the base.
