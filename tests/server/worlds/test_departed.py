@@ -4,8 +4,6 @@ import gc
 import time
 from collections import Counter
 
-import pytest
-
 from tests.recording.missions import HEIGHT, SCOUT, mission_world
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.control import CommandUpdate
@@ -30,21 +28,18 @@ def visit(world, robot):
 
 def objects(world):
     """The present objects by type, once the recording has written all, shapes for Foxglove too."""
-    if world.recorder is not None:
-        file, end = world.recorder.file, time.monotonic() + PATIENCE
-        while (file._jobs or file._pieces) and time.monotonic() < end:
-            time.sleep(0.05)
-        assert not file._jobs
-        assert not file._pieces
+    file, end = world.recorder.file, time.monotonic() + PATIENCE
+    while (file._jobs or file._pieces) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not file._jobs
+    assert not file._pieces
     gc.collect()
     return Counter(type(one).__qualname__ for one in gc.get_objects())
 
 
-@pytest.mark.parametrize("recorded", [False, True])
-def test_robots_that_leave_leave_nothing_behind(recorded, tmp_path):
+def test_robots_that_leave_leave_nothing_behind(tmp_path):
+    """`tests/server/test_visits.py` has the same of a world that nobody records."""
     world, file = mission_world(tmp_path / "visits.mcap")
-    if not recorded:
-        world.recorder = None
     for robot in CLASSES * 2:  # the first of a class fills caches
         visit(world, robot)
     counts = [objects(world)]
