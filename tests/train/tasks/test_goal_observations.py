@@ -9,7 +9,7 @@ import pytest
 from usarmjx.base.errors import SpecError
 from usarmjx.train.mapping.belief import initial_belief
 from usarmjx.train.mapping.goals import Goals
-from usarmjx.train.mapping.maps import FREE, MapGrid
+from usarmjx.train.mapping.maps import MapGrid
 from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH
 from usarmjx.train.tasks import TASKS
 from usarmjx.train.tasks.explore_base import ExploreBase
@@ -41,23 +41,16 @@ def scene_of(robots):
     return SimpleNamespace(num_robots=1 + robots, groups=groups)
 
 
-def test_squares_belong_to_those_that_have_them_and_a_link_to_the_base():
-    """A to the first robot, B to two, C to the second, D to nobody; the third has all but no link."""
-    squares = np.zeros((4, 1, 5), np.uint8)
-    squares[1, 0, [0, 1]] = squares[2, 0, [1, 2]] = squares[3] = FREE
-    links = np.zeros((4, 4), bool)
-    links[[1, 2], 0] = True
-    view = SimpleNamespace(
-        scene=scene_of(3), world=SimpleNamespace(links=()), links=SimpleNamespace(in_range=links)
-    )
-    memory = SimpleNamespace(belief=SimpleNamespace(squares=jnp.asarray(squares)))
+def test_squares_belong_to_those_that_saw_them():
+    """A to the first robot, B to two, C to the second, D to nobody; the third, who knows all, saw none."""
+    evidence = np.zeros((4, 1, 5), np.int8)
+    evidence[1, 0, [0, 1]] = evidence[2, 0, [1, 2]] = -2
+    evidence[3] = 3  # it takes them for walls
+    memory = SimpleNamespace(belief=SimpleNamespace(evidence=jnp.asarray(evidence)))
     news = jnp.asarray([[True, True, True, True, False]])
     assert isinstance(TASK, ExploreBase)
-    parts = np.asarray(TASK.bringers(view, memory, news))
-    squares[3, 0, 3] = 0  # it makes no difference who has D without a link
+    parts = np.asarray(TASK.finders(SimpleNamespace(scene=scene_of(3)), memory, news))
     assert parts.tolist() == pytest.approx([0.0, 1.5 + 1 / 3, 1.5 + 1 / 3, 1 / 3])
-    unlinked = SimpleNamespace(scene=view.scene, world=SimpleNamespace(links=None))
-    assert np.asarray(TASK.bringers(unlinked, memory, news)).tolist() == pytest.approx([0.0, *[4 / 3] * 3])
 
 
 def test_goals_say_what_is_news_there_and_how_much_time_is_left_after_them():

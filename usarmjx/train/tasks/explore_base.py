@@ -137,9 +137,9 @@ class ExploreBase(TeamTask):
     whole map at three scales stands before them, see `mapping.pyramid`.
 
     Reward: what a step adds to the score, where contacts cost those that touch. What comes onto the base's
-    map goes to all in equal parts; but for `brought` of it, which goes to those that have a link to the base
-    then and the squares on their maps. And `hint` times 100 times the share of the building that the robot
-    was the first to see, which is not part of the score.
+    map goes to all in equal parts; but for `found` of it, which goes to those whose own scans show it,
+    whoever brought it. And `hint` times 100 times the share of the building that the robot was the first to
+    see, which is not part of the score.
 
     Attributes:
         robot: Class of the robots, or their description.
@@ -147,7 +147,7 @@ class ExploreBase(TeamTask):
         actions: Kind of the actions, see above.
         hold: Steps for which a goal is kept.
         hint: Reward for squares that a robot explores.
-        brought: Share of the reward for squares on the base's map that goes to those that brought them.
+        found: Share of the reward for squares on the base's map that goes to those that saw them.
         observed: Whether robots see their goals only, or also the picture of their map.
         least_robots: Least number of robots; each world draws its number, up to `count`, at each reset. 0:
             always `count`.
@@ -166,7 +166,7 @@ class ExploreBase(TeamTask):
     actions: Literal["goals", "wheels"] = "goals"
     hold: Annotated[int, AT_LEAST_ONE] = 8
     hint: Annotated[float, NOT_NEGATIVE] = 0.3
-    brought: Annotated[float, SHARE] = 0.5
+    found: Annotated[float, SHARE] = 0.0
     observed: Literal["goals", "map"] = "goals"
     least_robots: Annotated[int, NOT_NEGATIVE] = 0
     oracle: bool = False
@@ -412,9 +412,9 @@ class ExploreBase(TeamTask):
         contacts = self.price * begun
         score = memory.score + jnp.where(memory.step == memory.skipped + 1, first, 0.0)
         memory = memory.replace(extra=memory.extra.replace(goals=goals), score=score + gain - contacts.sum())
-        common = (1 - self.brought) * gain / len(self.agents(scene))
-        brought = self.brought * point * self.bringers(view, memory, mapped & ~before.mapped)
-        reward = common + brought + self.hint * 100.0 * credit - contacts
+        common = (1 - self.found) * gain / len(self.agents(scene))
+        own = self.found * point * self.finders(view, memory, mapped & ~before.mapped)
+        reward = common + own + self.hint * 100.0 * credit - contacts
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
@@ -423,14 +423,14 @@ class ExploreBase(TeamTask):
             metrics={**self.metrics(memory), "mapped": mapped.sum() / squares},
         )
 
-    def bringers(self, view: TaskView, memory: TeamMemory, news: jax.Array) -> jax.Array:
+    def finders(self, view: TaskView, memory: TeamMemory, news: jax.Array) -> jax.Array:
         """Return whose part of the squares that came to the base (i, j) is whose, of all slots (robots,).
 
-        A square belongs to those that have it and a link to the base, else to all agents, in equal parts.
+        A square belongs to those whose own scans show it to be free, else to all agents, in equal parts.
+        Those that carry it get no more: one that waited beside the base would carry what all others bring.
         """
-        agents, base = self.agents(view.scene), station_slot(view.scene)
-        free = memory.belief.squares[agents] == FREE
-        has = free & _linked(view)[agents, base][:, None, None]
+        agents = self.agents(view.scene)
+        has = memory.belief.evidence[agents] < 0
         has = (has | ~has.any(0)) & news
         parts = (has / jnp.maximum(has.sum(0), 1)).sum((1, 2))
         return jnp.zeros(view.scene.num_robots).at[agents].set(parts)
