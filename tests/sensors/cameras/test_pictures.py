@@ -31,8 +31,10 @@ from usarmjx.sensors.cameras.paint import (
     ROBOT_LABEL,
     SKY_LABEL,
     VICTIM_LABEL,
+    camera_owners,
+    robot_geom_owner,
 )
-from usarmjx.sensors.cameras.picture import Picture, render_picture_jit
+from usarmjx.sensors.cameras.picture import Picture, pinhole_viewpoint, render_picture_jit
 from usarmjx.sensors.cameras.shading import INDOOR_GAIN
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -438,3 +440,12 @@ def test_no_camera_looks_into_its_own_robot(name):
         assert one.min_fov <= one.default_fov <= one.max_fov
     if robot is OMNI_P2DX:
         np.testing.assert_allclose(cameras_of(robot)[0].mat @ (1, 0, 0), (0, 0, 1), atol=1e-6)  # upwards
+
+
+def test_a_viewpoint_of_no_robot_hides_nothing():
+    """The arena's geoms have the owner -1, those of robots their slots."""
+    owners = np.array([-1, robot_geom_owner(0, 0), robot_geom_owner(3, 7)])
+    alone = pinhole_viewpoint(np.zeros(3, np.float32), np.eye(3, dtype=np.float32), 1.0)
+    assert alone.slot not in camera_owners(owners, alone.slot, alone.hidden_geoms)
+    seen = camera_owners(owners, 3, np.arange(9) == 7)
+    assert seen.tolist() == [-1, -1, 3]

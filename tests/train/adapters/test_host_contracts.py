@@ -14,10 +14,14 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 pytest.importorskip("gymnasium", reason="needs the extra rl")
 import gymnasium
 
+from usarmjx.sensors.cameras.paint import ROBOT_LABEL
 from usarmjx.train.adapters.gymnasium import TeamWorld, VectorWorlds
+from usarmjx.train.adapters.pictures import overhead_viewpoint
 
 ID = "usarmjx.train.adapters.gymnasium:usarmjx/drive-to-goal-v1"
 TINY = {"engine": "c", "ranges": (), "pose": "GroundTruth", "arena": "field"}
+FLAT = {name: value for name, value in TINY.items() if name != "arena"}
+"""In the arena of 8 m x 8 m that the task has otherwise."""
 
 
 def rotten(worlds):
@@ -137,13 +141,22 @@ def test_options_of_a_reset_are_refused_by_name():
 
 @pytest.mark.thorough
 def test_gymnasium_own_keywords_are_known_and_others_refused():
-    world = gymnasium.make(ID, episode_steps=5, render_mode="rgb_array", **TINY)
+    world = gymnasium.make(ID, episode_steps=5, render_mode="rgb_array", **FLAT)
     assert world.render_mode == "rgb_array"
     world.reset(seed=0)
     picture = world.render()
     assert picture.dtype == np.uint8
     assert picture.shape == (240, 320, 3)
-    assert picture.std() > 1, "there is something to see"
+    env, state = world.unwrapped.worlds.env, world.unwrapped.worlds._state.batch
+    above = overhead_viewpoint(env.batch.arena_of(state, 0))
+    shown = env.batch.render_view(state, 0, above)
+    np.testing.assert_array_equal(picture, shown.rgb)
+    rows, columns = np.nonzero(np.asarray(shown.segmentation) == ROBOT_LABEL)
+    x, y, z = env.batch.physics(state).qpos[0, :3]
+    scale = 160 / np.tan(above.fov / 2) / (above.pos[2] - z)  # of a pinhole [pixels/m]
+    middle = 159.5 + scale * (x - above.pos[0]), 119.5 - scale * (y - above.pos[1])
+    np.testing.assert_allclose((columns.mean(), rows.mean()), middle, atol=2.5)  # it is 20 pixels long
+    assert 100 < len(rows) < 600
     worlds = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=3, **TINY)
     worlds.reset(seed=0)
     still = np.zeros(worlds.action_space.shape, np.float32)
@@ -155,6 +168,30 @@ def test_gymnasium_own_keywords_are_known_and_others_refused():
         gymnasium.make_vec(ID, num_envs=2, speling=1, **TINY)
     with pytest.raises(UsageError, match="render_mode 'human'"):
         VectorWorlds(LineToy(), render_mode="human")
+
+
+def test_record_video_of_gymnasium_writes_the_frames_of_an_episode(tmp_path):
+    """MoviePy 2 asks for Pillow 11, `dev` takes a later one: the workflow's job `adapters` installs it."""
+    pytest.importorskip("moviepy", reason="needs MoviePy, which gymnasium[other] brings")
+    reader = pytest.importorskip("imageio_ffmpeg")
+    world = gymnasium.make(ID, episode_steps=5, render_mode="rgb_array", **FLAT)
+    recorded = gymnasium.wrappers.RecordVideo(world, str(tmp_path / "videos"), name_prefix="goal")
+    recorded.reset(seed=0)
+    seen, over = [world.render()], False
+    while not over:
+        _, _, ended, late, _ = recorded.step(np.float32([1.0, 0.0]))
+        seen.append(world.render())
+        over = ended or late
+    recorded.close()
+    (file,) = (tmp_path / "videos").iterdir()
+    assert file.name == "goal-episode-0.mp4"
+    frames = reader.read_frames(str(file))
+    about = next(frames)
+    assert (about["size"], about["fps"]) == ((320, 240), world.metadata["render_fps"])
+    shown = [np.frombuffer(frame, np.uint8).reshape(240, 320, 3) for frame in frames]
+    assert len(shown) == len(seen) == 6
+    far = np.array([[np.square(np.float32(a) - b).mean() for b in seen] for a in shown])
+    assert far.argmin(1).tolist() == list(range(6)), "each frame shows its own step, whatever the codec loses"
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")

@@ -17,14 +17,15 @@ from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, from_tiles, omni_ray
 from usarmjx.sensors.cameras.mounts import Camera
 from usarmjx.sensors.cameras.paint import INSTANCES, OUTSIDE_LABEL, SKY_LABEL, camera_owners
 from usarmjx.sensors.cameras.shading import RenderScene, Shaded, shade, shadow_gain
+from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.sensors.rays.targets import GeomBlock, concatenated
 
 MAX_SIDE = 4096
 """Largest side of a picture [pixels]."""
 HIDDEN_GEOMS_MULTIPLE = 256
 """Multiple to which `Viewpoint.hidden_geoms` is padded, so that robots share compiled programs."""
-NO_ROBOT = -1
-"""Slot of a viewpoint that belongs to no robot."""
+NO_ROBOT = int(EXCLUDE_NONE)
+"""Slot of a viewpoint that belongs to no robot; -1 is the owner of the arena, which it would hide."""
 CHUNK = 16_384
 """Rays cast together on NumPy: their hits fit into a CPU cache."""
 
