@@ -52,8 +52,9 @@ def write_whole_entries(folder: str) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option of the run that compiles as users do."""
+    """Add the options of the runs that compile as users do, and with JAX in double precision."""
     parser.addoption("--optimised", action="store_true", help="compile with XLA's default optimisation")
+    parser.addoption("--double", action="store_true", help="as beside a library that sets jax_enable_x64")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -63,6 +64,9 @@ def pytest_configure(config: pytest.Config) -> None:
     # Most of the time of the tests goes into compiling, which so takes less than half as long.
     if not config.getoption("optimised"):
         os.environ.setdefault("XLA_FLAGS", " ".join([*fast_compilation_flags(), IN_ONE_PIECE]))
+    if config.getoption("double"):
+        os.environ["JAX_ENABLE_X64"] = "1"  # for programs that tests start
+        jax.config.update("jax_enable_x64", True)
     # What a test compiles that another one has compiled is read from a folder, which starts empty: a fifth of
     # the time of training's tests. The processes of a run share it.
     folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") if "PYTEST_XDIST_WORKER" in os.environ else None

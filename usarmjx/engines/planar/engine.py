@@ -153,7 +153,7 @@ class PlanarEngine(Engine[PlanarState]):
             qvel=jnp.where(inputs.pinned_dof, 0.0, moved.qvel),
             act=moved.act,
             touched=touched & moves,
-            omitted=jnp.where(moves, neighbors.omitted, 0).sum(-1),
+            omitted=jnp.where(moves, neighbors.omitted, 0).sum(-1, dtype=jnp.int32),
             neighbors=neighbors,
         )
 

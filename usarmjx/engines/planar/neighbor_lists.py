@@ -281,7 +281,7 @@ def _first_by_rank(solids: PlanSolids, rank: Array, most: int) -> tuple[PlanSoli
     keys = jax.lax.scan(next_one, jnp.full(len(rank), -1), None, most, unroll=unroll_on_gpu(most))[1]
     chosen = keys[:most] % count
     # In index order, so that results do not depend on the pose at which the list was built.
-    place = (chosen < chosen[:, None]).sum(1)
+    place = (chosen < chosen[:, None]).sum(1, dtype=jnp.int32)
     ids = jnp.where(place == jnp.arange(most)[:, None, None], chosen, 0).sum(1)
     return jax.tree.map(lambda part: part[ids], solids), key > keys[most - 1][:, None]
 
