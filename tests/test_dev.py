@@ -112,7 +112,15 @@ def test_unknown_verb_lists_the_known_ones(capsys: pytest.CaptureFixture[str]):
 
 def test_test_runs_everything_and_with_arguments_only_pytest():
     tools = [" ".join(step) for step in dev.VERBS["test"].steps()]
-    parts = ("ruff check", "ruff format --check", "pyright", "importlinter", "pytest -n 2", "--optimised")
+    parts = (
+        "ruff check",
+        "ruff format --check",
+        "pyright",
+        "importlinter",
+        "pytest -n 2",
+        "--optimised",
+        "--double",
+    )
     for part in parts:
         assert sum(part in tool for tool in tools) == 1, part
     marks = [step[step.index("-m", 1) + 1] for step in dev.VERBS["test"].steps()[4:6]]
@@ -132,8 +140,8 @@ def test_quick_leaves_out_what_takes_long_and_hands_on_what_else_is_asked():
     assert tests[-2:] == ["-k", "foo"]
 
 
-@pytest.mark.parametrize("name", [*checks.QUICK, *checks.OPTIMISED])
-def test_what_quick_and_optimised_name_is_there(name: str):
+@pytest.mark.parametrize("name", [*checks.QUICK, *checks.OPTIMISED, *checks.DOUBLE])
+def test_what_the_chosen_tests_name_is_there(name: str):
     path, *tests = name.split("::")
     text = (dev.ROOT / path).read_text(encoding="utf-8") if tests else ""
     assert (dev.ROOT / path).exists()

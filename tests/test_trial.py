@@ -6,6 +6,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -94,6 +95,33 @@ def test_what_a_page_and_a_notebook_have_a_reader_run_is_found():
     assert (
         trial.cells(json.dumps({"cells": [code, {"cell_type": "markdown", "source": ["no"]}]})) == "x = 1\nx"
     )
+
+
+def test_libraries_are_tried_with_the_examples_of_the_page_and_the_versions_of_the_workflow():
+    page = (dev.ROOT / trial.PAGE).read_text(encoding="utf-8")
+    workflow = (dev.ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    extras = tomllib.loads((dev.ROOT / "pyproject.toml").read_text("utf-8"))["project"][
+        "optional-dependencies"
+    ]
+    for library in trial.LIBRARIES.values():
+        program = library.program(page)
+        compile(program, library.title, "exec")
+        assert "from usarmjx.train.adapters import" in program
+        assert set(library.extras) <= extras.keys()
+        pinned = [one for one in library.requirements if "==" in one]
+        assert all(one in workflow for one in pinned), pinned
+
+
+def test_an_environment_gets_what_its_library_asks_for(tmp_path, monkeypatch, capsys):
+    installed, wheel = [], tmp_path / "x.whl"
+    monkeypatch.setattr(trial.subprocess, "run", lambda *_, **__: None)
+    monkeypatch.setattr(trial.Room, "install", lambda _, *words: installed.append(words))
+    monkeypatch.setattr(trial.Room, "run", lambda room, *_: f"much\nmean 1.5\n{room.folder.name} 2.0\n")
+    account = trial.Account()
+    for name in ("sb3", "rllib"):
+        trial.try_room(account, tmp_path, "python3", wheel, name)
+    assert installed == [("rl,sb3",), ("", "ray[rllib]==2.60.0", "torch==2.15.0", "pettingzoo>=1.27")]
+    assert "[sb3]: its example of the page (0 s): mean 1.5; python3-sb3 2.0" in capsys.readouterr().out
 
 
 def test_the_first_page_has_programs_to_try():

@@ -49,6 +49,16 @@ OPTIMISED = (
     "tests/train/learning/test_ppo.py",
 )
 """A cross-section of the packages, run once more with the compiler's optimisation that users have."""
+DOUBLE = (
+    "tests/comms/test_mail.py",
+    "tests/engines/test_planar_motion.py::test_where_a_robot_gets_to_has_the_slope_that_small_changes_show",
+    "tests/sensors/test_scanners.py",
+    "tests/sim/test_ages.py::test_batched_sensors_read_the_same_bits_at_any_age[c]",
+    "tests/train/adapters/test_adapters.py",
+    "tests/train/envs/test_env.py::test_a_world_is_the_same_alone_as_in_a_batch[c]",
+    "tests/train/tasks/test_first_tasks.py",
+)
+"""Another one, run once more as beside a library that sets `jax_enable_x64`."""
 
 
 def pytest(*args: str) -> list[str]:
@@ -96,9 +106,11 @@ def everything(*args: str) -> list[list[str]]:
     if args and args != ("--all",):
         return [pytest(*args)]
     chosen = "" if args else " and not tools and not thorough"
+    kept = ("-m", chosen.removeprefix(" and ")) if chosen else ()
     tests = [
         pytest(*WORKERS, *NO_HANGING, *SLOWEST, "-m", f"not alone{chosen}"),
         pytest(*NO_HANGING, "-m", f"alone{chosen}", *files_with_mark("alone")),
         pytest("--optimised", *WORKERS, *NO_HANGING, *OPTIMISED),
+        pytest("--double", *WORKERS, *NO_HANGING, *kept, *DOUBLE),
     ]
     return [lint(), formatter("--check"), types(), layers(), *tests]

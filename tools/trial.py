@@ -1,8 +1,8 @@
 """What `dev.py try` does: all that a stranger does first, in empty environments, which it makes and deletes.
 
 It builds the wheel, looks at what is in it, and for each Python installs it without constraints and tries
-what the base installation promises; then each extra in an environment of its own. Needs the standard library
-only.
+what the base installation promises; then each extra, and each library of `trial_libraries` that is named, in
+an environment of its own. Needs the standard library only.
 """
 
 import argparse
@@ -21,6 +21,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Timer
+from typing import TypeAlias
+
+from tools.trial_libraries import LIBRARIES, PAGE
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ("pyproject.toml", "README.md", "LICENSE", "NOTICE")
@@ -98,9 +101,9 @@ class Room:
         """Run a program; return what it says."""
         return self.run("python", "-c", code)
 
-    def install(self, extra: str = "") -> None:
-        """Install the wheel as anybody would: no constraints."""
-        self.run("pip", "install", f"{self.wheel}[{extra}]" if extra else str(self.wheel))
+    def install(self, extra: str = "", *others: str) -> None:
+        """Install the wheel as anybody would, and others beside it: no constraints."""
+        self.run("pip", "install", f"{self.wheel}[{extra}]" if extra else str(self.wheel), *others)
         self.run("pip", "check")
 
 
@@ -248,7 +251,19 @@ def sees_a_gpu(room: Room) -> None:
     room.python("import jax; assert jax.devices()[0].platform == 'gpu', jax.devices()")
 
 
-BASE: tuple[Callable[[Room], None], ...] = (
+def example_of(name: str) -> Callable[[Room], str]:
+    """Return the trial of a library: what our page shows of it; it returns what that prints last."""
+
+    def its_example_of_the_page(room: Room) -> str:
+        program = LIBRARIES[name].program((ROOT / PAGE).read_text(encoding="utf-8"))
+        (room.folder / "example.py").write_text(program, encoding="utf-8")
+        return "; ".join(room.run("python", "example.py").splitlines()[-2:])
+
+    return its_example_of_the_page
+
+
+Trial: TypeAlias = Callable[[Room], str | None]
+BASE: tuple[Trial, ...] = (
     says_its_version,
     imports_little,
     names_what_is_missing,
@@ -257,7 +272,7 @@ BASE: tuple[Callable[[Room], None], ...] = (
     first_pages,
     notebook,
 )
-OF_EXTRA: dict[str, tuple[Callable[[Room], None], ...]] = {
+OF_EXTRA: dict[str, tuple[Trial, ...]] = {
     "train": (training,),
     "rl": (other_libraries,),
     "warp": (warp_engine,),
@@ -331,28 +346,43 @@ class Account:
         """Try something and say how it went; return whether it did."""
         began = time.monotonic()
         try:
-            trial()
+            said = trial()
         except (TrialError, OSError, subprocess.SubprocessError) as error:
             print(f"FAILED  {what}\n{error}", flush=True)
             self.failed.append(what)
             return False
-        print(f"ok      {what} ({time.monotonic() - began:.0f} s)", flush=True)
+        told = f": {said}" if isinstance(said, str) and said else ""
+        print(f"ok      {what} ({time.monotonic() - began:.0f} s){told}", flush=True)
         return True
 
 
-def try_room(account: Account, folder: Path, python: str, wheel: Path, extra: str) -> None:
-    """Make an empty environment, install the wheel with an extra or none, and try what belongs to it."""
-    name = f"{Path(python).name}{f' [{extra}]' if extra else ''}"
-    room = Room(folder / f"{Path(python).name}-{extra or 'base'}", wheel)
+def try_room(account: Account, folder: Path, python: str, wheel: Path, wanted: str) -> None:
+    """Make an empty environment, install what is wanted, and try what belongs to it.
+
+    Args:
+        account: Of what was tried.
+        folder: For the environment.
+        python: To make it with.
+        wheel: The file.
+        wanted: An extra, a library, or `base`.
+    """
+    name = f"{Path(python).name}{f' [{wanted}]' if wanted != 'base' else ''}"
+    room = Room(folder / f"{Path(python).name}-{wanted}", wheel)
     room.folder.mkdir()
     venv = room.programs.parent
+    extras, others, trials = wanted, (), OF_EXTRA.get(wanted, ())
+    if wanted == "base":
+        extras, trials = "", BASE
+    elif wanted in LIBRARIES:
+        library = LIBRARIES[wanted]
+        extras, others, trials = ",".join(library.extras), library.requirements, (example_of(wanted),)
 
     def install() -> None:
         subprocess.run([python, "-m", "venv", str(venv)], check=True)
-        room.install(extra)
+        room.install(extras, *others)
 
     if account.attempt(f"{name}: installs", install):
-        for trial in OF_EXTRA[extra] if extra else BASE:
+        for trial in trials:
             words = trial.__name__.replace("_", " ")
             account.attempt(f"{name}: {words}", lambda trial=trial: trial(room))
     shutil.rmtree(venv, ignore_errors=True)
@@ -374,8 +404,9 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--only",
         action="append",
-        choices=("base", *EXTRAS),
-        help="try the base installation, or one with an extra; else all, cuda only where nvidia-smi is",
+        choices=("base", *EXTRAS, *LIBRARIES),
+        help="try the base installation, one with an extra, or one with another library, most of which bring"
+        " PyTorch; else base and all extras, cuda only where nvidia-smi is",
     )
     options = parser.parse_args(argv)
     pythons = usable(options.python or PYTHONS)
@@ -390,10 +421,10 @@ def main(argv: Sequence[str]) -> int:
                 "the wheel has all it needs and no more", lambda: expect(not faults, "\n".join(faults))
             )
             for python in pythons if "base" in wanted else ():
-                try_room(account, folder, python, wheels[0], "")
-            for extra in EXTRAS:
-                if extra in wanted:
-                    try_room(account, folder, pythons[-1], wheels[0], extra)
+                try_room(account, folder, python, wheels[0], "base")
+            for name in (*EXTRAS, *LIBRARIES):
+                if name in wanted:
+                    try_room(account, folder, pythons[-1], wheels[0], name)
     print(f"{len(account.failed)} failed{': ' if account.failed else ''}{'; '.join(account.failed)}")
     return int(bool(account.failed))
 

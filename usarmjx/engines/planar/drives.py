@@ -64,7 +64,9 @@ class RollingWheels:
         rows = jnp.concatenate([rolls, slides], 1)
         wanted = jnp.concatenate([self.radius * spin * self.powered, jnp.zeros_like(spin)], 1)
         # Normal equations: wheels want their rolling speed along, and no slip across, their heading.
-        square = (rows[..., :, None] * rows[..., None, :]).sum(1) + REGULARIZATION * jnp.eye(3, dtype=jnp.float32)
+        square = (rows[..., :, None] * rows[..., None, :]).sum(1) + REGULARIZATION * jnp.eye(
+            3, dtype=jnp.float32
+        )
         return _solve3(square, (rows * wanted[..., None]).sum(1))
 
     def wheel_speeds(self, joints: Array, twist: Array) -> Array:

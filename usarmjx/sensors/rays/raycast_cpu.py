@@ -90,7 +90,7 @@ def nearest_of_bundles(
     """
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
     if not work or not count:
-        return GeomHits(jnp.full(count, jnp.inf), jnp.full(count, -1))
+        return GeomHits(jnp.full(count, jnp.inf, jnp.float32), jnp.full(count, -1, jnp.int32))
     lines, given, piece = None, rays, -(-count // -(-count // RAYS_AT_A_TIME))
     if isinstance(rays, Fans) and piece < count:
         given = rays.rays()
@@ -101,7 +101,7 @@ def nearest_of_bundles(
 
     def run(geoms: Array, world: Array, exclude: Array, wanted: Array, *given: Array) -> GeomHits:
         shape = len(world), piece
-        blank = GeomHits(jnp.full(shape, jnp.inf), jnp.full(shape, -1))
+        blank = GeomHits(jnp.full(shape, jnp.inf, jnp.float32), jnp.full(shape, -1, jnp.int32))
 
         def groups(size: int | None, rays_at_a_time: int) -> Callable[[tuple[Array, ...]], GeomHits]:
             some, together = partial(_cast_some, infos, lines, size, max_distance), rays_at_a_time // piece
