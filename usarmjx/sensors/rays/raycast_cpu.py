@@ -204,7 +204,7 @@ def _cast_some(
     bundles = _Bundles(start, along, exclude)
     cone = None if size is None else bounding_cones(start, along)
     shape, own, first = start[0].shape, geoms[world], 0
-    found = GeomHits(jnp.full(shape, max_distance), jnp.full(shape, -1))
+    found = GeomHits(jnp.full(shape, max_distance, jnp.float32), jnp.full(shape, -1, jnp.int32))
     for info in infos:
         block = own[:, :, first : first + info.num_geoms]
         if cone is None or info.num_geoms <= MAX_UNCULLED_GEOMS:
@@ -237,7 +237,7 @@ def _test_all(info: GeomBlockInfo, block: jax.Array, bundles: _Bundles, found: G
         return found.closer(jnp.where(passed[..., None], jnp.inf, t), index), None
 
     # On a CPU a scan is ten times as fast as reductions over arrays of rays times geoms.
-    rows = jnp.moveaxis(block, -1, 0), info.first_index + jnp.arange(info.num_geoms)
+    rows = jnp.moveaxis(block, -1, 0), info.first_index + jnp.arange(info.num_geoms, dtype=jnp.int32)
     return jax.lax.scan(closer, found, rows, unroll=min(GEOMS_AT_A_TIME, info.num_geoms))[0]
 
 
