@@ -64,7 +64,9 @@ def _silent(kind: str) -> Mount:
 
 def _robot() -> RobotSpec:
     made = replace(P2DX, cameras=(), sensors=tuple(map(_silent, KINDS)), battery_life=LIFE)
-    override_response(made, find_response(P2DX))
+    response = find_response(P2DX)
+    assert response is not None  # the package has it
+    override_response(made, response)
     return made
 
 
