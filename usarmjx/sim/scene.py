@@ -566,7 +566,7 @@ def build_scene(
     active = sum(not entry.parked for entry in entries)
     if active > len(arena.starts):
         raise SpecError(f"{active} robots, but arena {arena.name} has {len(arena.starts)} start poses")
-    spec = new_spec(arena, physics)
+    spec = new_spec(arena, physics, moves=arenas is not None)
     robots = [entry.spec for entry in entries]
     if vary is not None:
         check_randomization(vary, robots, radio is not None)

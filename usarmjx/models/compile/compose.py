@@ -35,6 +35,9 @@ HOLD_SOLREF, HOLD_SOLIMP = (0.01, 1.0), (0.999, 0.999, 0.001, 0.5, 2.0)
 """Stiffness of what holds an object in the air: 100 N move one of 18 kg by less than 1 mm."""
 MAX_BOX_PIECES = 512
 """Largest number of pieces of an arena's boxes, for engines that need short boxes."""
+MAX_BODY_SOLIDS = 256
+"""Largest number of fixed solids of the body `arena`; more are geoms of the world. In each step MuJoCo computes
+the bounds of all geoms of a body, but not the world's."""
 
 
 REFERENCE_GEOMS = 7
@@ -44,8 +47,13 @@ LOOSE_CONTACTS = 5
 """Capacity of contact buffers per touching geom of a loose object: a resting box has four contacts."""
 
 
-def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec) -> None:
+def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec, *, moves: bool = False) -> None:
     """Add the arena and its floor to an empty description.
+
+    Args:
+        spec: The description.
+        arena: The arena.
+        moves: Whether the poses of its fixed solids are data: then all are on the body `arena`.
 
     Raises:
         SpecError: A solid that cannot be built; see `geoms.add_geom` and `victims.victim_table`.
@@ -55,8 +63,10 @@ def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec) -> None:
         floor = Shape(kind="box", size=FLOOR_SIZE, at=at, surface="ground", rgba=FLOOR_RGBA)
         add_geom(spec, spec.worldbody, "floor", floor, kind=mujoco.mjtGeom.mjGEOM_PLANE)
     body = spec.worldbody.add_body(name=ARENA, pos=[0.0, 0.0, arena.floor], mocap=True)
+    of_world = len(arena.shapes) > MAX_BODY_SOLIDS and not moves
     for i, shape in enumerate(arena.shapes):
-        add_geom(spec, body, f"{ARENA_PREFIX}{i}", shape)
+        geom = add_geom(spec, spec.worldbody if of_world else body, f"{ARENA_PREFIX}{i}", shape)
+        geom.pos[2] += arena.floor if of_world else 0.0
     _add_victims(spec, body, arena)
     for loose in arena.loose:
         add_loose(spec, loose, arena.floor)
@@ -144,11 +154,12 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     arena = spec.body("arena")
     if arena is None:
         return spec.compile()
-    touching = [geom for geom in arena.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.contype]
+    owned = [(body, geom) for body in (spec.worldbody, arena) for geom in body.geoms]
+    touching = [geom for _, geom in owned if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.contype]
     boxes = np.array([geom.size for geom in touching])
     while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MAX_BOX_PIECES:
         longest *= 1.25
-    for geom in list(arena.geoms):
+    for body, geom in owned:
         parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
         fixed = geom.name.startswith(ARENA_PREFIX) and geom.contype
         if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1 or not fixed:
@@ -161,13 +172,13 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
             offset = (2 * (np.array(piece) + 0.5) / parts - 1) * geom.size
             name = f"{geom.name}/{'.'.join(map(str, piece))}"
             pos = geom.pos + mat.reshape(3, 3) @ offset
-            arena.add_geom(name=name, pos=pos, size=geom.size / parts, **shared)
+            body.add_geom(name=name, pos=pos, size=geom.size / parts, **shared)
         spec.delete(geom)
     return spec.compile()
 
 
-def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
-    """Return a model description with the arena, its floor and no robots."""
+def new_spec(arena: ArenaSpec, physics: Physics, *, moves: bool = False) -> mujoco.MjSpec:
+    """Return a model description with the arena, its floor and no robots; for `moves` see `add_arena`."""
     spec = mujoco.MjSpec()
     spec.modelname = arena.name
     spec.compiler.degree = False  # joint limits are radians, as everything here
@@ -183,7 +194,7 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     option.iterations = physics.iterations
     option.ls_iterations = physics.ls_iterations
-    add_arena(spec, arena)
+    add_arena(spec, arena, moves=moves)
     return spec
 
 
