@@ -191,3 +191,10 @@ def test_an_encoder_counts_the_wheel_whose_number_is_in_its_name(load):
     joints, signs = encoder._joints
     assert [encoder.plan.parts[1 + joint] for joint in joints] == ["LeftFWheel", "RightRWheel"]
     np.testing.assert_allclose(signs, 1.0, atol=1e-6, err_msg="ahead is positive")
+
+
+def test_one_reason_for_several_lines_is_one_warning(load):
+    sections = (f"[USARSensor.{name}]\nHiddenSensor=true\n" for name in ("SICK", "Odometry", "Tachometer"))
+    (warning,) = load("".join(sections)).warnings
+    assert "a.ini:2: HiddenSensor is ignored: " in warning
+    assert warning.endswith(" (also in lines 4, 6)")

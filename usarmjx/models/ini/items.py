@@ -150,15 +150,26 @@ MAX_BASE_CLASSES = 32
 
 @dataclass
 class WarningLog:
-    """Warnings in the order of their occurrence, without repetitions."""
+    """Warnings in the order of their occurrence; one that several lines of a file cause is one text."""
 
-    texts: list[str] = field(default_factory=list[str])
+    _lines: dict[tuple[str, str], list[int]] = field(default_factory=dict[tuple[str, str], list[int]])
+
+    @property
+    def texts(self) -> list[str]:
+        """The warnings, each with its file, its first line and the others behind it."""
+        return [f"{file}:{lines[0]}: {text}{_also(lines[1:])}" for (file, text), lines in self._lines.items()]
 
     def add(self, line: Line, text: str) -> None:
         """Add a warning about a line."""
-        warning = f"{line.file}:{line.line}: {text}"
-        if warning not in self.texts:
-            self.texts.append(warning)
+        lines = self._lines.setdefault((line.file, text), [])
+        if line.line not in lines:
+            lines.append(line.line)
+
+
+def _also(lines: Sequence[int]) -> str:
+    if not lines:
+        return ""
+    return f" (also in line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))})"
 
 
 def kind_of(name: str, settings: Settings | None) -> str | None:
