@@ -6,6 +6,7 @@ Each folder under a FOLDER is a package; its files of arenas are tried, nothing 
 """
 
 import argparse
+import math
 import re
 import time
 from collections import Counter
@@ -27,15 +28,21 @@ from usarmjx.sim.control import CommandUpdate, update_command
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
 
-PATTERNS = ("*.world", "*.sdf", "*.map", "*.scen", "*.rndf", "*.yaml", "*.yml")
-SCENARIOS_TRIED = 1
-"""Number of scenarios of a folder that are tried: a benchmark has hundreds of them on one map."""
+PATTERNS = ("*.world", "*.sdf", "*.map", "*.scen", "*.rndf", "*.yaml", "*.yml", "*.dae", "*.xml", "*.inc")
+SCENE_WORDS = re.compile(r"arena|scene|world|kitchen|maze|stadium|soccer|field|sawyer_xyz")
+"""Words in the path of an MJCF file that is a scene, not a robot or a part of one."""
+ROBOT_WORDS = re.compile(r"description|robots?/|kuka|gripper")
+"""Words in the path of a COLLADA file that is a part of a robot."""
+TRIED = {".scen": 1, ".dae": 10, ".xml": 10}
+"""Number of files of a folder that are tried, by suffix: a benchmark has hundreds of scenarios on one map."""
 SETTLE_STEPS, DRIVE_STEPS = 50, 150
 """Control steps of 20 ms: to settle, and of each drive."""
 SPIN = 2.0
 """Speed of the wheels [rad/s]."""
 LEAST_WAY, MOST_FALL = 0.2, 0.3
 """Way that counts as driven, and fall that counts as fallen [m]."""
+MAX_DRIVEN = 1500
+"""Number of solids up to which a robot drives among them: more take minutes to compile."""
 MAX_CELL = 90
 """Longest text in a cell of the table."""
 
@@ -90,20 +97,30 @@ def files_of(folders: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
     """Yield the packages in folders, and the files of arenas in each."""
     for folder in folders:
         for package in sorted(one for one in folder.iterdir() if one.is_dir()):
-            tried: Counter[Path] = Counter()
+            tried: Counter[tuple[Path, str]] = Counter()
             for file in sorted({file for pattern in PATTERNS for file in package.rglob(pattern)}):
-                if file.suffix in (".yaml", ".yml") and not _is_map(file):
+                if not _is_arena(package, file):
                     continue
-                if file.suffix == ".scen":
-                    tried[file.parent] += 1
-                    if tried[file.parent] > SCENARIOS_TRIED:
-                        continue
-                yield package, file
+                tried[file.parent, file.suffix] += 1
+                if tried[file.parent, file.suffix] <= TRIED.get(file.suffix, math.inf):
+                    yield package, file
 
 
-def _is_map(file: Path) -> bool:
+def _is_arena(package: Path, file: Path) -> bool:
+    """Return whether a file of a common suffix is an arena: a map, a scene, no part of a robot."""
     text = file.read_text(encoding="utf-8", errors="replace")
-    return re.search(r"^image:", text, re.MULTILINE) is not None and "resolution:" in text
+    match file.suffix:
+        case ".yaml" | ".yml":
+            return re.search(r"^image:", text, re.MULTILINE) is not None and "resolution:" in text
+        case ".xml":
+            inside = str(file.relative_to(package)).lower()
+            return "<mujoco" in text and "<worldbody" in text and SCENE_WORDS.search(inside) is not None
+        case ".dae":
+            return ROBOT_WORDS.search(str(file.relative_to(package)).lower()) is None
+        case ".map":
+            return not text.startswith("{")  # a source map of JavaScript
+        case _:
+            return True
 
 
 def survey(package: Path, file: Path) -> Row:
@@ -131,6 +148,8 @@ def survey(package: Path, file: Path) -> Row:
 
 def drive(arena: ArenaSpec) -> str:
     """Return whether a P2AT stands at the first start pose and drives from there, in words."""
+    if len(arena.shapes) > MAX_DRIVEN:
+        return "not tried"
     robot = ROBOTS.get("P2AT")
     mine = f"start {arena.starts[0].tag!r}"
     faults = [

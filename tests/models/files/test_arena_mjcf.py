@@ -190,7 +190,7 @@ HINGED = '<body name="b"><joint {}/><geom type="box" size=".4 .1 .5" pos=".4 0 0
             "reading file|opening",
         ),
         (
-            '<geom name="g" type="plane" size="1 1 1" pos="0 0 1"/>',
+            '<geom type="plane" size="1 1 1"/><geom name="g" type="plane" size="1 1 1" pos="0 0 1"/>',
             "",
             "plane 'g' is unbounded and not the floor",
         ),
@@ -309,3 +309,58 @@ LINK = "<robot><link name='a'><visual><geometry>{}</geometry></visual></link></r
 def test_a_mistake_in_urdf_is_named(text, says, tmp_path):
     with pytest.raises(ArenaFileError, match=says):
         load_arena(write(tmp_path / "a.urdf", text))
+
+
+TABLE = """<mujoco><worldbody><geom name="ground" type="plane" size="5 5 .1" pos="0 0 -.9"/>
+<geom type="box" size=".5 .4 .02" pos="1 0 -.02"/>
+<body name="cup" pos="1 0 .05"><freejoint/><geom type="box" size=".03 .03 .05" mass=".2"/></body>
+<body pos="0 3 .1"><joint axis="0 0 1"/><geom type="box" size=".4 .02 1" pos=".4 0 0"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_scene_whose_floor_lies_elsewhere_moves_to_height_zero(tmp_path):
+    arena, notes = read_arena(write(tmp_path / "table.xml", TABLE))
+    (note,) = [note for note in notes if "floor" in note]
+    assert "table.xml: the floor, plane 'ground', is at height -0.9: everything moves by 0.9 m" in note
+    assert arena.has_floor
+    assert arena.shapes[0].at == pytest.approx((1.0, 0.0, 0.88))
+    assert arena.loose[0].at == pytest.approx((1.0, 0.0, 0.95))
+    model, data = composed(arena)
+    assert data.geom("door/" + arena.doors[0].name).xpos[2] == pytest.approx(1.0, abs=0.011)  # a gap below
+    assert data.geom("floor").xpos[2] == 0.0
+    assert model.ngeom == 4
+
+
+ELL = """<mujoco><asset><mesh name="ell" vertex="{}" face="{}"/></asset><worldbody>
+<geom type="plane" size="5 5 .1"/><geom name="ell" type="mesh" mesh="ell"/></worldbody></mujoco>"""
+
+
+def test_a_mesh_that_is_not_convex_is_met_as_in_mujoco(tmp_path):
+    """A corner of two walls, 2 x 2 m with a yard of 1 x 1 m: robots meet the hull, rays enter the yard."""
+    trimesh = pytest.importorskip("trimesh")
+    plan = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    corners = [(x, y, z) for z in (0.0, 1.0) for x, y in plan]
+    faces = [(a, b, b + 6, a + 6) for a, b in zip(range(6), (1, 2, 3, 4, 5, 0), strict=True)]
+    triangles = [half for a, b, c, d in faces for half in ((a, b, c), (a, c, d))]
+    triangles += [(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 5, 4), (6, 7, 8), (6, 8, 9), (6, 9, 10), (6, 10, 11)]
+    mesh = trimesh.Trimesh(corners, triangles, process=False)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(3.0)
+    text = ELL.format(
+        " ".join(f"{x:g}" for corner in corners for x in corner),
+        " ".join(str(i) for triangle in triangles for i in triangle),
+    )
+    path = write(tmp_path / "ell.xml", text)
+    arena, notes = read_arena(path)
+    assert (
+        f"{path}: geom 'ell' is not convex, not closed or too fine: robots meet its hull, rays its faces"
+        in notes
+    )
+    (ours, here), (theirs, there) = composed(arena), original(path)
+    for x, y in ((1.6, 1.6), (1.3, 1.1), (0.5, 1.5), (1.5, 0.5)):
+        start, down = np.array([x, y, 3.0]), np.array([0.0, 0.0, -1.0])
+        ranges = [
+            mujoco.mj_ray(model, data, start, down, None, 1, -1, np.zeros(1, np.int32))
+            for model, data in ((ours, here), (theirs, there))
+        ]
+        assert ranges[0] == pytest.approx(ranges[1], abs=1e-6)

@@ -36,8 +36,8 @@ HOLD_SOLREF, HOLD_SOLIMP = (0.01, 1.0), (0.999, 0.999, 0.001, 0.5, 2.0)
 MAX_BOX_PIECES = 512
 """Largest number of pieces of an arena's boxes, for engines that need short boxes."""
 MAX_BODY_SOLIDS = 256
-"""Largest number of fixed solids of the body `arena`; more are geoms of the world. In each step MuJoCo computes
-the bounds of all geoms of a body, but not the world's."""
+"""Largest number of fixed solids of the body `arena`; more are geoms of the world. In each step MuJoCo
+computes the bounds of all geoms of a body, but not the world's."""
 
 
 REFERENCE_GEOMS = 7

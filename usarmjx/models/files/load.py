@@ -27,20 +27,23 @@ from usarmjx.models.files.content import EMPTY_EXTENT, Content
 from usarmjx.models.files.images import image_size, write_heights
 from usarmjx.models.files.maps import is_map, occupancy_grid_content
 from usarmjx.models.files.mjcf import mjcf_content
+from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.moving_ai import moving_ai_content
 from usarmjx.models.files.pictures import check_picture
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.roads_file import is_route_network, roads_content
 from usarmjx.models.files.scale_notes import scale_notes
 from usarmjx.models.files.sdf import sdf_content
+from usarmjx.models.files.sdf_solids import placed_pieces
 from usarmjx.models.files.sdf_tree import SDF_ROOTS
 from usarmjx.models.files.sources import MeshFile, TerrainFile, mesh_content, terrain_content
 from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content
+from usarmjx.models.files.world_meshes import world_pieces
 from usarmjx.models.files.xml_lines import root_tag
 from usarmjx.models.files.yaml_file import arena_of_yaml, complete_arena
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.models.types.shapes import HeightField, Mesh
+from usarmjx.models.types.shapes import HeightField, Mesh, Shape
 
 logger = logging.getLogger(__name__)
 
@@ -233,6 +236,21 @@ def _mesh(path: Path) -> Content:
     return mesh_content(MeshFile(file=path))
 
 
+def _building(path: Path) -> Content:
+    """Return a COLLADA file's convex pieces, or what a world would make of the file."""
+    try:
+        return _mesh(path)
+    except ArenaFileError:
+        pieces, notes = world_pieces(path, (1.0, 1.0, 1.0), "", False, "fixed")
+        if not pieces:
+            raise
+    like = Shape(kind="mesh", surface="")
+    shapes = tuple(placed_pieces(pieces, Pose(np.zeros(3), np.eye(3)), like, "fixed"))
+    plates = sum(piece.normal is not None for piece in pieces)
+    said = [f"{path}: {plates} plates along faces stand for parts that are not convex"] if plates else []
+    return Content(shapes=shapes, warnings=(*said, *(f"{path}: {note}" for note in notes)))
+
+
 def _terrain(path: Path) -> Content:
     width, height = image_size(path)
     size = (PIXEL_SIZE * max(width - 1, 1), PIXEL_SIZE * max(height - 1, 1))
@@ -275,7 +293,8 @@ READERS: dict[str, Callable[[Path, Resources], Content]] = {
     ".xml": _xml,
     ".mjcf": _plain(mjcf_content),
     ".urdf": _urdf,
-    **dict.fromkeys((".obj", ".stl", ".dae"), _plain(_mesh)),
+    **dict.fromkeys((".obj", ".stl"), _plain(_mesh)),
+    ".dae": _plain(_building),
     ".png": _plain(_terrain),
     ".pgm": _plain(_picture),
     **dict.fromkeys((".map", ".scen"), _plain(moving_ai_content)),

@@ -4,6 +4,7 @@ Readers of meshes skip or repair much of what is wrong: a file that is cut off w
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -29,6 +30,14 @@ MIN_NORMAL_COSINE = 0.9
 
 MAX_QUOTED = 40
 """Largest length of a quoted word in messages [characters]."""
+
+
+BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
+"""First bytes of a text in UTF-16."""
+GEOMETRY_ID = re.compile(r"""<geometry\b[^>]*\bid\s*=\s*["']([^"']*)["']""")
+GEOMETRY_PLACE = re.compile(r"""<instance_geometry\b[^>]*\burl\s*=\s*["']#?([^"']*)["']""")
+INSTANCE_SKIN = "<instance_controller"
+"""A mesh of a COLLADA file, a place where its scene has one, and the begin of one with bones."""
 
 
 def check_mesh(path: Path, data: bytes) -> None:
@@ -201,12 +210,21 @@ def _words(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _check_dae(path: Path, data: bytes) -> None:
-    """Refuse what is no COLLADA; a document type's entities could expand exponentially."""
-    head = data[:4096].lower()
-    if b"<collada" not in head:
+    """Refuse what is no COLLADA or places no mesh; a document type's entities could expand exponentially."""
+    text = data.decode("utf-16" if data.startswith(BYTE_ORDER_MARKS) else "latin-1", "replace")
+    if "<collada" not in text[:4096].lower():
         raise mesh_error(path, "it is no COLLADA: its root is not <COLLADA>")
-    if b"<!doctype" in data.lower():
+    if "<!doctype" in text.lower():
         raise mesh_error(path, "it defines a document type (<!DOCTYPE>); meshes have none")
+    known = set(GEOMETRY_ID.findall(text))
+    placed = [(found.start(), found[1]) for found in GEOMETRY_PLACE.finditer(text)]
+    if not placed:
+        skins = " but skins of <instance_controller>, which are not read" if INSTANCE_SKIN in text else ""
+        raise mesh_error(path, f"its scene places no <geometry>{skins}")
+    for start, name in placed:
+        if name not in known:
+            line = text.count("\n", 0, start) + 1
+            raise mesh_error(path, f"it has no <geometry> of id {name[:MAX_QUOTED]!r}", line)
 
 
 def _check_ply(path: Path, data: bytes) -> None:

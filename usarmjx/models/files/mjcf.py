@@ -12,7 +12,8 @@ from usarmjx.base.transforms import Vec3, flip_angles, flip_vector
 from usarmjx.models.compile.doors import DOOR_GAP
 from usarmjx.models.compile.geoms import add_geom
 from usarmjx.models.compile.inertia import Inertia, combine_inertias, described_in_arena
-from usarmjx.models.files.content import Content, surface_of
+from usarmjx.models.files.content import Content, surface_of, transform_content
+from usarmjx.models.files.mesh_solids import hull_corners
 from usarmjx.models.files.meshes import ConvexPiece, convex_pieces
 from usarmjx.models.files.mjcf_solids import (
     KINDS,
@@ -126,9 +127,13 @@ class MeshPieces:
 
     Args:
         model: The compiled model.
+
+    Attributes:
+        notes: Meshes that are coarser than in the file, in words.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
+        self.notes: dict[str, None] = {}
         self._model = model
         self._known: dict[tuple[int, bool], list[ConvexPiece] | str] = {}
 
@@ -154,6 +159,23 @@ class MeshPieces:
             raise ArenaFileError(f"{name}{found}")
         return found
 
+    def touched(self, geom: int, name: str) -> list[ConvexPiece]:
+        """Return the pieces of a geom's mesh that things touch: as in MuJoCo, hulls if it is not convex."""
+        from scipy.spatial import ConvexHull
+
+        try:
+            return self.of(geom, name)
+        except ArenaFileError:
+            try:
+                found = self.of(geom, name, hull=True)
+                met = "robots meet its hull, rays its faces"
+            except ArenaFileError:
+                vertices = hull_corners(_mesh(self._model, int(self._model.geom_dataid[geom]))[0])
+                found = [ConvexPiece(name, vertices, float(ConvexHull(vertices).volume))]
+                met = f"robots and rays meet a hull of {len(vertices)} corners"
+        self.notes.setdefault(f"{name} is not convex, not closed or too fine: {met}")
+        return found
+
 
 def geom_shapes(
     model: mujoco.MjModel, geom: int, pose: Pose, surface: str, name: str, meshes: MeshPieces
@@ -169,7 +191,7 @@ def geom_shapes(
         meshes: Pieces of the model's meshes.
 
     Raises:
-        ArenaFileError: A geom of a kind that arenas do not have, or a mesh that is not convex.
+        ArenaFileError: A geom of a kind that arenas do not have, or a flat mesh.
     """
     kind, material = GeomType(model.geom_type[geom]), int(model.geom_matid[geom])
     colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
@@ -190,8 +212,8 @@ def geom_shapes(
     if kind != GeomType.mjGEOM_MESH:
         # mjGEOM_PLANE without its prefix.
         raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
-    # Solids without contacts are only seen, by their faces: they need not be convex.
-    pieces = meshes.of(geom, name, hull=surface == FIXTURE)
+    # Solids without contacts are only seen, by their faces.
+    pieces = meshes.of(geom, name, hull=True) if surface == FIXTURE else meshes.touched(geom, name)
     return [replace(like, kind="mesh", mesh=piece.mesh) for piece in pieces]
 
 
@@ -201,7 +223,7 @@ def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom, meshe
         return float(described.mass)
     if GeomType(model.geom_type[geom]) in KINDS:
         return described.density * volume(model, geom)
-    found = meshes.of(geom, described.name, hull=True)
+    found = meshes.touched(geom, described.name)
     return described.density * sum(piece.volume for piece in found)
 
 
@@ -246,7 +268,8 @@ def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[tuple[Shape, ...],
 def mjcf_content(path: Path, surface: str = "") -> Content:
     """Return the content of an MJCF file for an arena, at its reference configuration.
 
-    Geoms of the world and of bodies without joints are fixed solids; a plane at height zero is the floor. A
+    Geoms of the world and of bodies without joints are fixed solids; planes of one height are the floor, to
+    whose height everything moves. Meshes that are not convex are touched as their hulls, as in MuJoCo. A
     body with a free joint is a loose object, including all bodies fixed to it. A body with one hinge about
     the vertical is a door, if it is one upright box with the hinge at one of its narrow sides. Any other
     joint is refused, as are tendons, equality constraints and flexes. Robots, which are bodies with motors
@@ -305,6 +328,8 @@ class _MjcfReader:
         self._members: dict[int, list[int]] = {}
         for body in range(model.nbody):
             self._members.setdefault(self._owner[body], []).append(body)
+        self._planes = [geom for geom in self._geoms(0) if self._kind(geom) == GeomType.mjGEOM_PLANE]
+        self._floor = self._floor_height()
 
     def content(self) -> Content:
         """Return the file's content."""
@@ -322,14 +347,27 @@ class _MjcfReader:
             else:
                 doors.append(self._door(body))
         shapes = [shape for geom in self._geoms(0) for shape in self._fixed(geom)]
-        planes = [geom for geom in self._geoms(0) if self._kind(geom) == GeomType.mjGEOM_PLANE]
-        return Content(
+        content = Content(
             shapes=tuple(shapes),
             loose=tuple(loose),
             doors=tuple(doors),
-            floor=bool(planes),
-            warnings=tuple(self._warnings),
+            floor=bool(self._planes),
+            warnings=(*self._warnings, *self._meshes.notes),
         )
+        return transform_content(content, (0.0, 0.0, -self._floor), 0.0)
+
+    def _floor_height(self) -> float:
+        """Return the height of the planes [m]: if all lie at one, that is the floor's."""
+        heights = [float(self._data.geom_xpos[plane][2]) for plane in self._planes]
+        height = heights[0] if heights and np.ptp(heights) <= FLOOR_TOLERANCE else 0.0
+        if abs(height) <= FLOOR_TOLERANCE:
+            return 0.0
+        name = self._name("geom", self._planes[0])
+        self._warnings.append(
+            f"{self._path}: the floor, plane {name!r}, is at height {height:g}: everything moves by "
+            f"{-height:g} m, so that it is at 0"
+        )
+        return height
 
     def _error(self, text: str) -> ArenaFileError:
         return ArenaFileError(f"{self._path}: {text}")
@@ -367,10 +405,10 @@ class _MjcfReader:
         """Return a geom of the world as shapes in the world's axes."""
         mat = self._data.geom_xmat[geom].reshape(3, 3)
         if self._kind(geom) == GeomType.mjGEOM_PLANE:
-            if abs(self._data.geom_xpos[geom][2]) > FLOOR_TOLERANCE or mat[2, 2] < 1 - FLOOR_TOLERANCE:
+            above = abs(self._data.geom_xpos[geom][2] - self._floor)
+            if above > FLOOR_TOLERANCE or mat[2, 2] < 1 - FLOOR_TOLERANCE:
                 raise self._error(
-                    f"plane {self._name('geom', geom)!r} is unbounded and not the floor at height 0: "
-                    "make it a box"
+                    f"plane {self._name('geom', geom)!r} is unbounded and not the floor: make it a box"
                 )
             return []
         shapes = self._shapes(geom, Pose(self._data.geom_xpos[geom], mat), "wall")

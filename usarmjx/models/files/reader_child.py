@@ -7,6 +7,7 @@ by as many bytes as the line announces. A crash, an endless loop or a flood of m
 import contextlib
 import json
 import os
+import re
 import select
 import sys
 import time
@@ -39,6 +40,10 @@ LOADING: dict[str, dict[str, Any]] = {
     "glb": {"process": False, "resolver": None},
 }
 """Options of trimesh by kind of mesh file, which keep the file's order and vertices."""
+BINDINGS = re.compile(rb"<bind_material\b.*?</bind_material\s*>", re.DOTALL)
+MATERIAL_USE = re.compile(rb"""<instance_material\b[^>]*\btarget\s*=\s*["']#([^"']*)["']""")
+MATERIAL_ID = re.compile(rb"""<material\b[^>]*\bid\s*=\s*["']([^"']*)["']""")
+"""Materials of a COLLADA file: those of one mesh, the use of one, and its definition."""
 CUTTING = {"threshold": 0.05, "mcts_iterations": 60, "mcts_nodes": 10, "resolution": 1000}
 """Options of coacd: its default of the concavity, a shorter search."""
 
@@ -188,10 +193,15 @@ def read_xacro(path: str, arguments: Any) -> tuple[dict[str, object], list[Any]]
 
 
 def _as_utf8(file: BinaryIO, kind: str) -> BinaryIO:
-    """Return a text file with invalid UTF-8 replaced; trimesh would need another module for that."""
+    """Return a text file with invalid UTF-8 replaced; trimesh would need another module for that.
+
+    COLLADA that lacks a material comes without any: trimesh leaves out meshes whose material is missing.
+    """
     import io
 
     data = file.read()
+    if kind == "dae" and not set(MATERIAL_USE.findall(data)) <= set(MATERIAL_ID.findall(data)):
+        data = BINDINGS.sub(b"", data)
     if kind in ("dae", "ply", "glb") or (kind == "stl" and b"\0" in data):
         return io.BytesIO(data)
     return io.BytesIO(data.decode("utf-8", "replace").encode())

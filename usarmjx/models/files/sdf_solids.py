@@ -1,6 +1,6 @@
 """Geometry and colours of SDF as solids."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from usarmjx.models.files.images import read_height_shares
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles
 from usarmjx.models.files.polygons import convex_parts, prism, signed_area
 from usarmjx.models.files.sdf_tree import SdfFiles
-from usarmjx.models.files.world_meshes import Use, world_pieces
+from usarmjx.models.files.world_meshes import Use, WorldPiece, world_pieces
 from usarmjx.models.files.xml_lines import LinedElement, numbers_of
 from usarmjx.models.types.shapes import HeightField, Rgba, Shape
 
@@ -181,9 +181,14 @@ def _mesh(own: SdfSolids, form: LinedElement, pose: Pose, like: Shape, use: Use)
         file, (scale[0], scale[1], scale[2]), form.word("submesh/name"), centred, use
     )
     own.notes += [f"{form.place}: {note}" for note in notes]
+    yield from placed_pieces(pieces, pose, replace(like, surface=like.surface or own.surface), use)
+
+
+def placed_pieces(pieces: Iterable[WorldPiece], pose: Pose, like: Shape, use: Use) -> Iterator[Shape]:
+    """Yield the solids of a mesh in a pose as shapes like another one; without a surface each gets one."""
     for piece in pieces:
         shape = replace(like, kind="mesh", mesh=piece.mesh)
-        surface = like.surface or own.surface or _surface(shape, pose, piece.normal)
+        surface = like.surface or _surface(shape, pose, piece.normal)
         if piece.box is not None:
             half, frame = piece.box
             there = pose.then(frame)
