@@ -17,6 +17,7 @@ from usarmjx.models.drives import Ackermann, Drive, SkidSteer
 from usarmjx.models.files.bearing import borne_inertias
 from usarmjx.models.files.body_tree import BodyTree
 from usarmjx.models.files.file_motors import DEFAULT_TRAVEL, motor_with_limits, motors_of
+from usarmjx.models.files.firm_wheels import with_firm_wheels
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
 from usarmjx.models.files.reader_process import expand_xacro, try_model
@@ -250,7 +251,7 @@ class _Builder:
         except ValueError as error:
             raise SpecError(f"{source.path}: makes no robot: {quoted(error)}") from error
         if wheels and not flies:
-            robot = _with_casters(robot, source)
+            robot = with_firm_wheels(_with_casters(robot, source), wheels)
         if flies:
             root, size = tree.owners[0], np.array(robot.dimensions)
             robot = replace(robot, drive=rotor_drive(self._model, root, rotors, size))
