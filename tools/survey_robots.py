@@ -52,8 +52,6 @@ REASONS = (
     "as MuJoCo's rangefinders do, and the size has them; the expected size is that of solids that touch.",
     "centauro: a step to 1 m/s at its wheels' 35 N m is 9.6 m/s2, and 3.7 m/s2 lifts its front axle, with "
     "the centre of mass 0.86 m high; so commands rise to the speed within a second.",
-    "tiago_dual: its casters bear 16 kg each on wheels of 0.09 kg, and sink 5.5 mm into the contact, whose "
-    "stiffness MuJoCo derives from the mass that it moves.",
 )
 """Causes of figures that are off."""
 FIELD = ArenaSpec(
