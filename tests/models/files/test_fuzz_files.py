@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import dev
 from tests.kept_files import kept_files, written_files
+from tests.models.files.test_collada import collada
 from tests.models.files.test_import_mjcf import SEVERAL as ARM
 from tests.models.files.test_robot_files import COLLADA, PLUGINS, cart
 from tests.models.files.test_sdf_robots import ROBOT as ROBOT_SDF
@@ -78,6 +79,7 @@ LOADERS = {
     "arm.xml": (ARM.encode(), load_robot),
     "cart.urdf.xacro": (XACRO, load_robot),
     "box.dae": (COLLADA.encode(), load_convex_pieces),
+    "room.dae": (collada(sides=5).encode(), load_arena),
     "roads.rndf": (ROADS, load_arena),
     "gazebo.world": (GAZEBO, sdf_content),
     "stage.world": (STAGE, stage_content),
