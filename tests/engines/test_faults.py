@@ -42,7 +42,8 @@ class Course:
         poses = {robot: self.crowd.on_floor(robot, 0.0, 2.0 * robot) for robot in self.indices}
         for robot, pos in poses.items():
             self.crowd.put(robot, pos)
-        self.homes = {robot: np.array([*pos, *UPRIGHT]) for robot, pos in poses.items()}
+        joints = np.zeros(len(self.indices[0].qposadr))
+        self.homes = {robot: np.array([*pos, *UPRIGHT, *joints]) for robot, pos in poses.items()}
         self.reset_trees = []
 
     def tell(self):
@@ -53,7 +54,7 @@ class Course:
 
     def step(self):
         world = self.model, self.data, SUBSTEPS
-        found = step_and_recover(*world, self.indices, self.limits, self.homes, self.crowd.floor)
+        found = step_and_recover(*world, self.indices, self.limits, self.homes)
         self.reset_trees.append(found)
         return found
 
@@ -173,7 +174,7 @@ def test_who_is_put_back_stands_still_at_its_home_and_has_heard_nothing():
     course.step()
     fallen = 9.81 * (SUBSTEPS * course.model.opt.timestep) ** 2
     pos = course.crowd.qpos(0)
-    np.testing.assert_allclose(pos[:7], course.homes[0], atol=max(fallen, START_GAP))
+    np.testing.assert_allclose(pos[:7], course.homes[0][:7], atol=max(fallen, START_GAP))
     np.testing.assert_allclose(pos[7:], 0.0, atol=1e-3)  # wheels and links: what the fall does to them [rad]
     assert np.abs(course.data.qvel[[index.root_dofadr + k for k in range(3)]]).max() <= 9.81 * 0.02 + 1e-9
     assert not course.data.ctrl[list(index.actuator_ids)].any()
@@ -280,7 +281,7 @@ def test_who_is_bad_at_home_too_does_not_stop_the_world():
     course.limits = dict.fromkeys(course.indices, 0.0)
     assert course.step() == RecoveryResult(robots=frozenset({0, 1, 2}), others=("loose/brick",))
     for robot, home in course.homes.items():
-        np.testing.assert_array_equal(course.crowd.qpos(robot)[:7], home)
+        np.testing.assert_array_equal(course.crowd.qpos(robot), home)
 
 
 def test_a_car_that_stands_in_the_walls_is_put_where_it_fits_and_no_other_notices():
@@ -294,8 +295,8 @@ def test_a_car_that_stands_in_the_walls_is_put_where_it_fits_and_no_other_notice
             crowd.put(robot, crowd.on_floor(robot, *yellow.starts[robot].at[:2]))
         crowd.put(1, crowd.on_floor(1, 4.5, 1.9) if where is None else where)
         indices, limits = dict(enumerate(crowd.indices)), {0: LIMIT, 1: 30.0, 2: LIMIT}
-        homes = {robot: crowd.qpos(robot)[:7] for robot in indices}
-        rest = indices, limits, homes, crowd.floor
+        homes = {robot: crowd.qpos(robot) for robot in indices}
+        rest = indices, limits, homes
         return crowd, partial(step_and_recover, crowd.model, crowd.data, SUBSTEPS, *rest)
 
     crowd, step = world()

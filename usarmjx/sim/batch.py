@@ -496,7 +496,7 @@ class Batch:
 
 
 def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array, quat: Array) -> BatchState:
-    """Return a batch with a robot put somewhere, at rest; its joints stay as they are.
+    """Return a batch with a robot put somewhere, at rest; its joints stay as they are, unless it is parked.
 
     Args:
         batch: The batch.
@@ -516,4 +516,8 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
     # All engines can pin coordinates, as they do for parked robots: so a robot is moved without stepping.
     pinned[world, root], qpos[world, root] = True, (*pos, *quat)
     pinned_dof[world, index.root_dofadr : index.root_dofadr + 6] = True
+    if not bool(state.worlds.groups[group].active[world, member]):
+        joints = list(index.qposadr)
+        pinned[world, joints], qpos[world, joints] = True, scene.parked_qpos[joints]
+        pinned_dof[world, list(index.dofadr)] = True
     return state.replace(physics=batch.engine.set_qpos(state.physics, pinned, pinned_dof, qpos))

@@ -6,11 +6,13 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, xp
+from usarmjx.base.rotations import parts, quat_times
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import empty_inboxes
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.models.compile.randomization import max_wheel_radius, sample_values
+from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.effecters import no_dropped_tags
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.suite import NO_MEMORY
@@ -164,14 +166,14 @@ def start_sensors(
 
 
 def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
-    """Return qpos: active robots on start poses in the arena's or a random order, the others parked."""
+    """Return qpos: active robots rest at start poses in the arena's or random order, the others wait."""
     starts = start_poses(scene, world.arena_state)
     order = xp.arange(len(starts))
     if shuffle:
         order = random.permutation(episode_key(world, Stream.START_POSES), order)
-    parts = list[Part]()
+    rows = list[Part]()
     if world.arena_state is not None:
-        parts.append((scene.loose_geoms.root_qposadr, world.arena_state.loose))
+        rows.append((scene.loose_geoms.root_qposadr, world.arena_state.loose))
     active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
     for group in scene.groups:
         stands = np.isin(group.slots, active)
@@ -183,13 +185,15 @@ def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
                 # Larger wheels must not start in the floor.
                 height += xp.maximum(world.varied.wheel[slots] - 1.0, 0.0) * max_wheel_radius(group.robot)
             none = xp.zeros_like(x)
-            root = xp.stack([x, y, height, xp.cos(yaw / 2), none, none, xp.sin(yaw / 2)], -1)
-            parts.append((group.root_qposadr[stands], xp.asarray(root, xp.float32)))
+            heading = xp.cos(yaw / 2), none, none, xp.sin(yaw / 2)
+            turned = quat_times(heading, parts(np.asarray(stance_of(group.robot).tilt, np.float32)))
+            root = xp.stack([x, y, height, *turned], -1)
+            rows.append((group.root_qposadr[stands], xp.asarray(root, xp.float32)))
         if not stands.all():
             parked = [parking_position(scene.arena, int(slot)) for slot in group.slots[~stands]]
             root = np.array([[*position, 1.0, 0.0, 0.0, 0.0] for position in parked], np.float32)
-            parts.append((group.root_qposadr[~stands], xp.asarray(root)))
-    return set_rows(xp.asarray(scene.model.qpos0, xp.float32), *parts)
+            rows.append((group.root_qposadr[~stands], xp.asarray(root)))
+    return set_rows(xp.asarray(scene.parked_qpos), *rows)
 
 
 def _initial_history(scene: Scene, command: RobotCommand) -> CommandHistory | None:

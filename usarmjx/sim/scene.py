@@ -38,7 +38,7 @@ from usarmjx.models.compile.randomization import (
     is_randomized,
 )
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
-from usarmjx.models.compile.standing import standing_height
+from usarmjx.models.compile.standing import stance_of, standing_height
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import VictimTable, victim_table
 from usarmjx.models.effecters import Effecter, effecters_of
@@ -428,6 +428,14 @@ class Scene:
             for slot, index in zip(group.slots, group.indices, strict=True)
         }
         return tuple(found[slot] for slot in sorted(found))
+
+    @cached_property
+    def parked_qpos(self) -> np.ndarray:
+        """Qpos with all robots parked, their joints as they stand, and the arena as described (nq,)."""
+        qpos = self.model.qpos0.astype(np.float32)
+        for group in self.groups:
+            qpos[group.qposadr] = stance_of(group.robot).joints
+        return qpos
 
     @cached_property
     def door_qpos(self) -> np.ndarray:

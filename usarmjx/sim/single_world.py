@@ -35,7 +35,7 @@ from usarmjx.models.compile.compose import (
     remove_robot,
 )
 from usarmjx.models.compile.materials import materials_of
-from usarmjx.models.compile.standing import sinking
+from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.effecters import Opcode, no_dropped_tags
 from usarmjx.models.types.arena import ArenaSpec, LooseObject
 from usarmjx.models.types.robot import RobotSpec
@@ -225,14 +225,15 @@ class SingleWorld:
         return slot
 
     def _place_robot(self, group: RobotGroup, poses: Sequence[tuple[Vec3, Array]]) -> None:
-        """Put the one robot of a group where there is room for it."""
-        model, data, floor = self.engine.model, self.engine.data, self.scene.arena.floor
-        (index,) = group.indices
+        """Put the one robot of a group where there is room for it, with the tilt and joints of its stance."""
+        model, data, stance = self.engine.model, self.engine.data, stance_of(group.robot)
+        (index,), floor = group.indices, self.scene.arena.floor - stance.sinking
+        data.qpos[list(index.qposadr)] = stance.joints
         for (pos, quat), reach in (*((pose, 0.0) for pose in poses), (poses[0], SEARCH_RADIUS)):
-            found = free_pose(model, data, index, np.array(pos), quat, floor - sinking(group.robot), reach)
+            found = free_pose(model, data, index, np.array(pos), stance.tilted(quat), floor, reach)
             if found is not None:
                 self.engine.place(index, *found)
-                self._homes[int(group.slots[0])] = self.engine.pose(index)
+                self._homes[int(group.slots[0])] = self.engine.home(index)
                 return
         raise PlaceError(f"no room for a {group.robot.name} within {SEARCH_RADIUS:g} m of {{}}", poses[0][0])
 
@@ -243,7 +244,8 @@ class SingleWorld:
             UsageError: There is no room.
         """
         model, data, index = self.engine.model, self.engine.data, self._indices[slot]
-        found = free_pose(model, data, index, np.array(pos), quat, self.scene.arena.floor, 0.0)
+        floor = self.scene.arena.floor - stance_of(self.roster[slot].spec).sinking
+        found = free_pose(model, data, index, np.array(pos), quat, floor, 0.0)
         if found is None:
             raise PlaceError(f"no room for {self.roster[slot].name} at {{}}", pos)
         self.engine.place(index, *found)

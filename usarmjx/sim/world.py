@@ -357,7 +357,7 @@ def compute_inputs(
         xfrc_applied=set_rows(xp.zeros((scene.model.nbody, 6)), *wrenches),
         pinned=set_rows(xp.zeros(scene.model.nq, bool), *pinned),
         pinned_dof=set_rows(xp.zeros(scene.model.nv, bool), *pinned_dof),
-        qpos=xp.asarray(scene.model.qpos0, xp.float32),
+        qpos=xp.asarray(scene.parked_qpos),
         geom_poses=moved_geom_poses(scene, world.arena_state, clock) if moved is None else moved,
         varied=world.varied,
     )

@@ -80,7 +80,6 @@ def step_and_recover(
     indices: Mapping[int, RobotIndex],
     limits: Mapping[int, float],
     homes: Mapping[int, Array],
-    floor: float,
 ) -> RecoveryResult:
     """Make one control step; faulty robots, and those that touch them, are reset and stand still.
 
@@ -93,8 +92,8 @@ def step_and_recover(
         substeps: Physics steps.
         indices: The robots, by slot.
         limits: Highest plausible speed of each robot [m/s].
-        homes: Home position and orientation (7,) of each robot; an occupied home is replaced by a near pose.
-        floor: Lowest height of any part of a robot [m].
+        homes: Home of each robot, its position, orientation and joints (7 + joints,); an occupied home is
+            replaced by a near pose.
     """
     before = _saved(model, data)
     mujoco.mj_step(model, data, nstep=substeps)
@@ -112,7 +111,7 @@ def step_and_recover(
         mujoco.mj_setState(model, data, before, INTEGRATION_STATE)
         if not found:
             break
-        recovery.reset_trees(found, homes, floor)
+        recovery.reset_trees(found, homes)
         gone |= found
         before = _saved(model, data)
     return recovery.report(gone)
@@ -123,11 +122,10 @@ def reset_all(
     data: mujoco.MjData,
     indices: Mapping[int, RobotIndex],
     homes: Mapping[int, Array],
-    floor: float,
 ) -> None:
     """Reset robots, loose objects and doors to their homes, at rest; arguments as for `step_and_recover`."""
     recovery = _Recovery(model, data, indices, {})
-    recovery.reset_trees(set(range(model.ntree)), homes, floor)
+    recovery.reset_trees(set(range(model.ntree)), homes)
     mujoco.mj_kinematics(model, data)
 
 
@@ -179,7 +177,7 @@ class _Recovery:
             island[pairs[island[pairs].any(-1)]] = True
         return bad | {tree for tree in self._slots if island[tree]}
 
-    def reset_trees(self, trees: set[int], homes: Mapping[int, Array], floor: float) -> None:
+    def reset_trees(self, trees: set[int], homes: Mapping[int, Array]) -> None:
         """Reset trees to their homes, at rest."""
         model, data = self._model, self._data
         of_qpos, of_dof = np.isin(self._qpos_tree, list(trees)), np.isin(model.dof_treeid, list(trees))
@@ -191,6 +189,7 @@ class _Recovery:
             index = self._indices[slot]
             data.act[list(index.actadr)] = data.ctrl[list(index.actuator_ids)] = 0.0
             data.ctrl[list(index.hold_actuator_ids)] = 1.0
+            data.qpos[list(index.qposadr)] = homes[slot][7:]
             data.qpos[index.root_qposadr : index.root_qposadr + 3] = (
                 PARKED_DISTANCE,
                 k * PARKED_DISTANCE,
@@ -198,15 +197,16 @@ class _Recovery:
             )
         for slot in robots:
             start = self._indices[slot].root_qposadr
-            data.qpos[start : start + 7] = self._free_home(slot, np.asarray(homes[slot], float), floor)
+            data.qpos[start : start + 7] = self._free_home(slot, np.asarray(homes[slot], float))
 
-    def _free_home(self, slot: int, home: np.ndarray, floor: float) -> np.ndarray:
+    def _free_home(self, slot: int, home: np.ndarray) -> np.ndarray:
+        no_floor = -np.inf  # it has stood there, a little below the floor, as contacts give way
         for reach in SEARCH_RADII:
-            index, pos, quat = self._indices[slot], home[:3], home[3:]
-            pose = free_pose(self._model, self._data, index, pos, quat, floor, reach)
+            index, pos, quat = self._indices[slot], home[:3], home[3:7]
+            pose = free_pose(self._model, self._data, index, pos, quat, no_floor, reach)
             if pose is not None:
                 return np.concatenate(pose)
-        return home
+        return home[:7]
 
     def report(self, trees: set[int]) -> RecoveryResult:
         """Return the robots and bodies of these trees."""

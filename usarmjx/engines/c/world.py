@@ -106,22 +106,26 @@ class CWorld:
         Args:
             robots: Indices of each robot in the model, by slot.
             limits: Highest plausible speed of each [m/s].
-            homes: Home of each: position and orientation (7,).
+            homes: Home of each: position, orientation and joints (7 + joints,).
 
         Returns:
             Number of contact buffer overflows, and the reset objects.
         """
-        before, floor = buffer_warnings(self.data), self._arena.floor
-        recovery = step_and_recover(self.model, self.data, self._substeps, robots, limits, homes, floor)
+        before = buffer_warnings(self.data)
+        recovery = step_and_recover(self.model, self.data, self._substeps, robots, limits, homes)
         return buffer_warnings(self.data) - before, recovery
 
     def reset_all(self, robots: Mapping[int, RobotIndex], homes: Mapping[int, Array]) -> None:
         """Reset robots to their homes, see `advance`, and all other movable bodies to the reference pose."""
-        reset_all(self.model, self.data, robots, homes, self._arena.floor)
+        reset_all(self.model, self.data, robots, homes)
 
     def pose(self, index: RobotIndex) -> np.ndarray:
         """Return a robot's position [m] and orientation (7,)."""
         return self.data.qpos[index.root_qposadr : index.root_qposadr + 7].copy()
+
+    def home(self, index: RobotIndex) -> np.ndarray:
+        """Return where a robot is, to be reset to: position [m], orientation and joints (7 + joints,)."""
+        return np.concatenate([self.pose(index), self.data.qpos[list(index.qposadr)]])
 
     def place(self, index: RobotIndex, pos: Array, quat: Array) -> None:
         """Teleport a robot to a pose [m], at rest."""

@@ -23,7 +23,7 @@ from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.reachability import STEP_SHARE
-from usarmjx.models.compile.standing import standing_height
+from usarmjx.models.compile.standing import stance_of, standing_height
 from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
 
 FREE_JOINT, HINGE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -117,6 +117,7 @@ class PlanarServos:
         lag: Time by which a moving joint trails its target: damping over stiffness [s] (n,).
         low: Lower joint limits (n,).
         high: Upper joint limits (n,).
+        droop: Distance by which robots' weight moves joints from their targets, that of `stance_of` (n,).
         geared_qpos: Pairs of joints of which the first follows the second, indices in qpos (pairs, 2).
         geared_qvel: The same, indices in qvel (pairs, 2).
         gears: Offset and ratio of each pair's first position to its second (pairs, 2).
@@ -130,13 +131,17 @@ class PlanarServos:
     lag: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    droop: np.ndarray
     geared_qpos: np.ndarray
     geared_qvel: np.ndarray
     gears: np.ndarray
 
 
-def servos_of(model: mujoco.MjModel) -> PlanarServos:
-    """Return the servos of a model."""
+def servos_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotIndex]] = ()) -> PlanarServos:
+    """Return the servos of a model, which give way under the weight of these robots as when they stand."""
+    droop = np.zeros(model.nq)
+    for robot, index in robots:
+        droop[list(index.qposadr)] = stance_of(robot).joints
     names = [model.actuator(i).name for i in range(model.nu)]
     stays_valid = [i for i, name in enumerate(names) if name.endswith(HOLD_SUFFIX)]
     pulls = [names.index(names[i].removesuffix(HOLD_SUFFIX)) for i in stays_valid]
@@ -155,6 +160,7 @@ def servos_of(model: mujoco.MjModel) -> PlanarServos:
         lag=damping / np.maximum(stiffness, 1e-9),
         low=np.where(limited, model.jnt_range[joints, 0], -np.inf),
         high=np.where(limited, model.jnt_range[joints, 1], np.inf),
+        droop=droop[model.jnt_qposadr[joints]],
         geared_qpos=model.jnt_qposadr[pairs].astype(int),
         geared_qvel=model.jnt_dofadr[pairs].astype(int),
         gears=model.eq_data[gears, :2].astype(np.float32).reshape(-1, 2),
@@ -164,8 +170,8 @@ def servos_of(model: mujoco.MjModel) -> PlanarServos:
 def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: float) -> Any:  # noqa: ANN401
     """Return the state of one world after its joints have followed their targets.
 
-    The target moves at the speed of `ctrl`; the joint follows as an unloaded servo with stiffness and damping
-    does, by the exact solution. A joint in torque mode stays.
+    The target moves at the speed of `ctrl`; the joint follows as a servo with stiffness and damping under a
+    constant load does, by the exact solution. A joint in torque mode stays.
 
     Args:
         servos: The servos.
@@ -176,10 +182,10 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
     """
     speed, aim = ctrl[servos.pull], act[servos.act]
     before, lag = state.qpos[servos.qpos], jnp.maximum(jnp.asarray(servos.lag), 1e-4)
-    behind = aim - before
+    behind = aim + servos.droop - before
     # Exact solution of lag * q' = target - q for a target that moves at constant speed.
     later = speed * lag + (behind - speed * lag) * jnp.exp(-dt / lag)
-    after = jnp.clip(aim + speed * dt - later, servos.low, servos.high)
+    after = jnp.clip(aim + servos.droop + speed * dt - later, servos.low, servos.high)
     held = ctrl[servos.hold] > 0
     after = jnp.where(held, after, before)
     rate = jnp.where(held, later / lag, 0.0)
@@ -235,6 +241,7 @@ class PlanarRobots:
         half: Half length and width of the footprints [m] (robots, 2).
         offset: Centres of the footprints on the chassis [m] (robots, 2).
         clearance: Height of the origins above the ground [m] (robots,).
+        tilt: Orientations on level ground, of yaw 0 (robots, 4).
         height: Heights of the robots [m] (robots,).
         step: Highest step that each climbs [m] (robots,).
         mass: Masses [kg] (robots,).
@@ -251,6 +258,7 @@ class PlanarRobots:
     half: np.ndarray
     offset: np.ndarray
     clearance: np.ndarray
+    tilt: np.ndarray
     height: np.ndarray
     step: np.ndarray
     mass: np.ndarray
@@ -337,6 +345,7 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         half=(boxes[:, 1] - boxes[:, 0])[:, :2] / 2,
         offset=(boxes[:, 1] + boxes[:, 0])[:, :2] / 2,
         clearance=np.array([_clearance(robot) for robot, _ in robots]),
+        tilt=np.array([stance_of(robot).tilt for robot, _ in robots], np.float32).reshape(-1, 4),
         height=(boxes[:, 1] - boxes[:, 0])[:, 2],
         step=np.array([STEP_SHARE * robot.wheel_radius for robot, _ in robots]),
         mass=model.body_subtreemass[chassis],

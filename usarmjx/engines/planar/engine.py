@@ -103,7 +103,7 @@ class PlanarEngine(Engine[PlanarState]):
                 "engine 'planar' moves flyers and divers in control steps of up to "
                 f"{MAX_FLIGHT_PERIOD:g} s, not {physics.period:g} s"
             )
-        self._servos: PlanarServos = servos_of(self.model)
+        self._servos: PlanarServos = servos_of(self.model, robots)
         own = {body for _, index in robots for body in index.body_ids}
         geoms, fixed = solid_geoms(self.model, own, self.moved_ids), fixed_bodies(self.model, own)
         self._solids: SceneSolids = scene_solids(

@@ -9,7 +9,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
 from usarmjx.base.compilation import materialize
-from usarmjx.base.rotations import parts
+from usarmjx.base.rotations import parts, quat_times
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, rotate_by_yaw
 from usarmjx.engines.planar.drives import limited_lag
@@ -186,7 +186,7 @@ def place_on_ground(robots: PlanarRobots, before: Motion, after: Motion, ground:
     falling = old + upward * dt - GRAVITY * dt * dt / 2
     z = jnp.where(robots.flies, jnp.maximum(after.pos[:, 2], height), jnp.maximum(height, falling))
     rolls = ~robots.flies & (z <= height + AIRBORNE_HEIGHT)
-    tilted = _orientation_on_slope(after.yaw, rise, lean)
+    tilted = _orientation_on_slope(_heading(robots, after), rise, lean, parts(robots.tilt))
     # Rotation from the old to the new tilt, in the robot's axes.
     rate = _tilt_change(before.unit, tilted)
     stands = robots.flies & (after.pos[:, 2] < height)
@@ -208,8 +208,15 @@ def _tilt_change(one: Quaternion, other: Quaternion) -> tuple[Array, Array]:
     return 2 * turn * first, 2 * turn * second
 
 
-def _orientation_on_slope(yaw: Array, rise: Array, lean: Array) -> Quaternion:
-    """Return orientations of robots on planes with slopes ahead and to the left (n,).
+def _heading(robots: PlanarRobots, motion: Motion) -> Array:
+    """Return the yaw of robots without their own tilt [rad] (robots,): with it, it creeps on a slope."""
+    w, x, y, z = parts(robots.tilt)
+    quat = jnp.stack(quat_times(parts(motion.quat), (w, -x, -y, -z)), -1)
+    return motion.replace(quat=quat).yaw
+
+
+def _orientation_on_slope(yaw: Array, rise: Array, lean: Array, tilt: Quaternion) -> Quaternion:
+    """Return orientations of robots on planes with slopes ahead and to the left (n,), with their own tilt.
 
     The columns of the matrix are the robot's axes: ahead along the rise, up perpendicular to rise and lean.
     """
@@ -222,7 +229,7 @@ def _orientation_on_slope(yaw: Array, rise: Array, lean: Array) -> Quaternion:
     w = jnp.sqrt(1 + ahead[0] + left_y + up[2]) / 2
     x, y, z = (left_z - up[1]) / (4 * w), (up[0] - ahead[1]) / (4 * w), -left_x / (4 * w)
     c, s = jnp.cos(yaw / 2), jnp.sin(yaw / 2)
-    quat = c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
+    quat = quat_times((c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w), tilt)
     # Canonical sign: the larger of w and z, one of which is the largest component, is positive.
     flip = jnp.where(jnp.abs(quat[3]) > jnp.abs(quat[0]), quat[3], quat[0]) < 0
     return tuple(jnp.where(flip, -number, number) for number in quat)

@@ -1,51 +1,117 @@
-"""Height at which a robot class stands: contacts and springs carry its weight there, so nothing drops."""
+"""Pose in which a robot class stands: contacts, springs and servos carry its weight, so nothing moves."""
 
+import math
+from dataclasses import dataclass
 from functools import cache
 
 import mujoco
 import numpy as np
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.rotations import parts, quat_times
 from usarmjx.models.compile.compose import add_robot, new_spec
-from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.layout import index_robot
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of, lowest_point
+from usarmjx.models.compile.layout import RobotIndex, index_robot
+from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
 
 START_GAP = 0.002
 """Robots that fly or dive, or cannot stand, start this far above the floor: none starts inside it [m]."""
-SETTLING_STEPS = 200
-"""Steps of the reference's physics in which a robot settles: a second. The height is the mean over the last
-half, as tracks tremble."""
-MAX_SINKING = 0.005
-"""A robot whose chassis moves farther than this does not stand by itself [m]."""
+SETTLING_STEPS, MEAN_STEPS = 600, 100
+"""Steps of the reference's physics in which a robot settles: three seconds, as springs of cars and knees of
+legs need two. Its pose is the mean over the last half second, as the solver's residual lets it tremble."""
+MAX_SINKING, MAX_TILT = 0.005, 0.05
+"""A robot whose chassis moves farther [m] or tilts more [rad] than this does not stand by itself."""
+HELD = 1e9
+"""Inertia of a chassis that stays where it is [kg, kg m2]."""
+SINGLE = 1e-6
+"""Resolution of heights in single precision [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """Pose in which robots of a class rest on level ground, heading along x.
+
+    Attributes:
+        height: Height of the chassis' origin above the ground [m].
+        tilt: Orientation of the chassis, of yaw 0 (4,).
+        joints: Positions of the joints in the order of `parts_of`; wheels are at 0 [rad or m] (joints,).
+        sinking: Depth of the lowest point below the ground, rounded up; 0: they do not stand [m].
+    """
+
+    height: float
+    tilt: np.ndarray
+    joints: np.ndarray
+    sinking: float
+
+    def tilted(self, quat: Array) -> np.ndarray:
+        """Return an orientation (4,) with the tilt."""
+        return np.stack(quat_times(parts(np.asarray(quat, float)), parts(self.tilt)))
 
 
 @cache
+def stance_of(robot: RobotSpec) -> Stance:
+    """Return the pose in which robots of a class stand: contacts, springs and servos give way to weight.
+
+    Those that fly, dive or cannot stand are level, `START_GAP` above the ground; their servos give way, too.
+    """
+    ground = ArenaSpec(name="ground", starts=(), extent=((-2, 2), (-2, 2)))
+    spec = new_spec(ground, Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    index, clearance = index_robot(model, robot, ""), kinematic_tree_of(robot).clearance
+    if not robot.drive.applies_wrench:
+        rest = _settled(model, index, ground.floor + clearance)
+        height, tilt = float(rest[2]) - ground.floor, _without_yaw(rest[3:7])
+        if abs(height - clearance) < MAX_SINKING and 2 * math.hypot(*tilt[1:3]) < MAX_TILT:
+            joints = _without_wheels(robot, rest[7:])
+            low = _lowest_point(model, index, np.array([0.0, 0.0, height, *tilt]), joints)
+            return Stance(height, tilt, joints, math.ceil(max(0.0, -low) / SINGLE) * SINGLE)
+    model.dof_armature[index.root_dofadr : index.root_dofadr + 6] = HELD  # its joints feel their weight
+    rest = _settled(model, index, ground.floor + clearance + START_GAP)
+    level = np.array([1.0, 0.0, 0.0, 0.0])
+    return Stance(clearance + START_GAP, level, _without_wheels(robot, rest[7:]), 0.0)
+
+
+def _settled(model: mujoco.MjModel, index: RobotIndex, height: float) -> np.ndarray:
+    """Return pose and joints (7 + joints,) of a robot that settles, started level at a height [m]."""
+    data = mujoco.MjData(model)
+    root = slice(index.root_qposadr, index.root_qposadr + 7)
+    data.ctrl[list(index.hold_actuator_ids)] = 1.0
+    data.qpos[root] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
+    total, own = np.zeros(model.nq), [*range(model.nq)[root], *index.qposadr]
+    for step in range(SETTLING_STEPS):
+        mujoco.mj_step(model, data)
+        total += data.qpos * (step >= SETTLING_STEPS - MEAN_STEPS)
+    return total[own] / MEAN_STEPS
+
+
+def _without_yaw(quat: np.ndarray) -> np.ndarray:
+    """Return an orientation of little tilt (4,) turned about the vertical to yaw 0."""
+    back = quat * (1.0, 0.0, 0.0, -1.0)
+    w, x, y, _ = quat_times(parts(back), parts(quat))
+    turned = np.array([w, x, y, -x * y / w])  # yaw 0 is x y + w z = 0
+    return turned / np.linalg.norm(turned)
+
+
+def _without_wheels(robot: RobotSpec, joints: np.ndarray) -> np.ndarray:
+    return np.where([part.is_wheel for part in parts_of(robot)], 0.0, joints)
+
+
+def _lowest_point(model: mujoco.MjModel, index: RobotIndex, root: np.ndarray, joints: np.ndarray) -> float:
+    """Return the height of a robot's lowest point in a pose (7,) with its joints (joints,) [m]."""
+    data = mujoco.MjData(model)
+    data.qpos[index.root_qposadr : index.root_qposadr + 7] = root
+    data.qpos[list(index.qposadr)] = joints
+    mujoco.mj_kinematics(model, data)
+    return lowest_point(model, data, np.isin(model.geom_bodyid, index.body_ids))
+
+
 def standing_height(robot: RobotSpec) -> float:
     """Return the height above level ground of the chassis' origin of a robot that stands [m].
 
     It is less than the height at which the robot just touches: contacts give way, by 0.1 mm for most classes.
     """
-    clearance = kinematic_tree_of(robot).clearance
-    if robot.drive.applies_wrench:
-        return clearance + START_GAP
-    ground = ArenaSpec(name="ground", starts=(), extent=((-2, 2), (-2, 2)))
-    spec = new_spec(ground, Physics())
-    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
-    model = spec.compile()
-    data, index = mujoco.MjData(model), index_robot(model, robot, "")
-    height = index.root_qposadr + 2
-    data.qpos[height] = ground.floor + clearance
-    data.ctrl[list(index.hold_actuator_ids)] = 1.0
-    heights = list[float]()
-    for _ in range(SETTLING_STEPS):
-        mujoco.mj_step(model, data)
-        heights.append(float(data.qpos[height]) - ground.floor)
-    stands = float(np.mean(heights[SETTLING_STEPS // 2 :]))
-    return stands if abs(stands - clearance) < MAX_SINKING else clearance + START_GAP
-
-
-def sinking(robot: RobotSpec) -> float:
-    """Return how far a standing robot sinks into level ground [m]; 0: it does not stand."""
-    return max(0.0, kinematic_tree_of(robot).clearance - standing_height(robot))
+    return stance_of(robot).height

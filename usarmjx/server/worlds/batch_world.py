@@ -20,7 +20,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.engines import PhysicsState
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.standing import sinking
+from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.types.robot import RobotSpec
@@ -205,11 +205,13 @@ class BatchWorld(ServedWorld):
         raise UsageError(f"no parked {robot.name} left in the roster: add more of them to --roster")
 
     def _activate(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        touching = kinematic_tree_of(robot).clearance - sinking(robot)
+        stance = stance_of(robot)
+        touching = min(stance.height, kinematic_tree_of(robot).clearance)
         lifted = floor_correction(name, pos[2] - touching, self.arena.floor)
         command = jax.tree.map(np.array, idle_command(robot))
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
-        self._start(new, np.array((pos[0], pos[1], pos[2] + lifted)), quat_from_angles(*angles))
+        quat = stance.tilted(quat_from_angles(*angles))
+        self._start(new, np.array((pos[0], pos[1], pos[2] + lifted)), quat)
         if self.recorder is not None:
             self.recorder.joined(slot, name, robot.name)
         return new
