@@ -36,7 +36,8 @@ html,body,#root>div,#root div[style*="background-color: rgb(255, 255, 255)"]{
 #usarmjx-loading small{font-weight:400;font-size:1rem;opacity:.75}
 #usarmjx-head{position:fixed;top:.7em;left:.7em;z-index:9;width:max-content;max-width:calc(100vw - 1.4em);
  background:rgba(20,24,30,.82);color:#fff;border-radius:.5em;padding:.5em .8em;
- font:clamp(11.5px,.98vw,16px)/1.35 system-ui,sans-serif;max-height:38vh;overflow:auto}
+ font:clamp(11.5px,.98vw,16px)/1.35 system-ui,sans-serif;max-height:38vh;overflow:auto;
+ scrollbar-width:thin;scrollbar-color:#fff6 transparent}
 #usarmjx-head:has(details[open]){max-height:calc(100vh - 6em)}
 #usarmjx-head summary{font-weight:600;cursor:pointer}
 #usarmjx-head table{border-collapse:collapse;margin-top:.4em;width:100%}
