@@ -70,7 +70,10 @@ def test_news_are_brought_home_in_time(facts, home):
         ({"news": 5000.0, "seconds": 140.0}, False),  # however much there is
         ({"news": 100.0, "seconds": 79.0}, False),  # the next one is at the end
         ({"news": 100.0, "seconds": 27.0}, True),
-        ({"news": 100.0, "seconds": 79.0, "going": 0}, True),
+        ({"news": 100.0, "seconds": 79.0, "going": 0}, True),  # late for the meeting
+        ({"news": 100.0, "seconds": 117.0, "going": 0}, True),  # 9 s ahead of its plan
+        ({"news": 100.0, "seconds": 119.0, "going": 0}, False),
+        ({"news": 100.0, "seconds": 59.0, "going": 0}, False),  # the meeting was 21 s ago
     ],
 )
 def test_meetings_are_kept_at_half_time_and_at_the_end(facts, home):

@@ -29,6 +29,8 @@ from usarmjx.train.tasks.goal_features import (
 
 MEETINGS = (0.5, 1.0)
 """Shares of an episode after which robots are to be at their base."""
+EARLIER, LATER = 10.0, 20.0
+"""Time to spare, and time after a meeting, with which a robot that goes to its base goes on [s]."""
 
 
 def meeting_goal(seen: Array, square: float) -> jax.Array:
@@ -44,9 +46,12 @@ def meeting_goal(seen: Array, square: float) -> jax.Array:
     home = seen[..., FIRST_GOAL : FIRST_GOAL + GOAL_NUMBERS]
     whole = seconds / jnp.maximum(left, 1e-6)
     until = seconds[..., None] - whole[..., None] * (1.0 - np.array(MEETINGS, np.float32))
+    since = jnp.where(until > 0.0, jnp.inf, -until).min(-1)
     until = jnp.where(until > 0.0, until, jnp.inf).min(-1)
-    way = LENGTH_SCALE * home[..., 2] * square
-    due = (until < way / HOME_SPEED + HOME_MARGIN) | (home[..., 9] > 0.5)
+    spare = until - LENGTH_SCALE * home[..., 2] * square / HOME_SPEED - HOME_MARGIN
+    # On its way a robot does not turn back as it gets on faster than planned, or is late.
+    going = (home[..., 9] > 0.5) & ((spare < EARLIER) | (since < LATER))
+    due = (spare < 0.0) | going
     return jnp.where(due & (news > LITTLE_NEWS) & ~has_courier(seen), 0, explored)
 
 
