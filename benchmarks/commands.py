@@ -178,6 +178,25 @@ def bench_peers(case: ContestCase, folders: PeerFolders, record: RecordOptions) 
         typer.echo(measure_peers(case, folders, record, partial(typer.echo, err=True)))
 
 
+@app.command("compare")
+def bench_compare(
+    results: Annotated[Path, typer.Option(help="Folder of records.")] = Path("benchmarks/results"),
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Loss of a rate that does not count, as a share.")
+    ] = 0.05,
+) -> None:
+    """Compare each case's newest record with the one before it on the same machine.
+
+    Exits with status 1 where a rate fell.
+    """
+    with ErrorExit():
+        from benchmarks.compare import compare
+
+        text, slower = compare(results, tolerance)
+        typer.echo(text)
+        raise typer.Exit(int(slower > 0))
+
+
 @app.command("report")
 def bench_report(
     results: Annotated[Path, typer.Option(help="Folder of records.")] = Path("benchmarks/results"),

@@ -1,12 +1,14 @@
-"""The benchmark of training: what a run was, how fast, and when it was as good as the baseline by hand."""
+"""Benchmark of training: speed with all waits, and the time until the baseline's score is reached."""
 
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,8 @@ from usarmjx.train.policies.sources import task_settings
 USUAL = BaselineOptions()
 STEPS, REPEATS = 5, 3
 """Control steps of a repeat, and repeats, of what is measured beside a run."""
+SAMPLE_INTERVAL = 2.0
+"""Interval at which the GPU's utilisation is sampled [s]."""
 DIGITS = 4
 """Decimals of scores in a record; times have one."""
 
@@ -36,22 +40,52 @@ def time_to_score(curve: Curve, score: float) -> float | None:
     return float(curve.seconds[there[0]]) if there.size else None
 
 
+def training_speed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the speed of a run's iterations after the first, which compiles.
+
+    Returns:
+        `mean`: agent steps over seconds, with all that the training waits for. `median`: of the iterations.
+        `waits`: shares of these seconds that the host waited, by reason, see `usarmjx.train.learning.waits`;
+        of records without waits, none.
+    """
+    steps = np.diff([0, *(line["agent_steps"] for line in lines)])
+    rates = np.array([line["steps_per_s"] for line in lines])
+    later = slice(1, None) if len(lines) > 1 else slice(None)
+    seconds = float((steps / rates)[later].sum())
+    # An iteration's line is written while the next one is at work: its own waits for checkpoint and log are
+    # in the line after it, so the sums are of all but the first line.
+    waits: dict[str, float] = {}
+    for line in list(lines)[later]:
+        for reason, waited in line.get("waits", {}).items():
+            waits[reason] = waits.get(reason, 0.0) + waited
+    return {
+        "mean": float(steps[later].sum()) / seconds,
+        "median": median(rates[later].tolist()),
+        "waits": {reason: round(waited / seconds, DIGITS) for reason, waited in waits.items()},
+    }
+
+
 def train_record(
-    folder: Path, baseline: float | None = None, note: str = "", baselines: str = "none"
+    folder: Path,
+    baseline: float | None = None,
+    note: str = "",
+    baselines: str = "none",
+    gpu_busy: float | None = None,
 ) -> dict[str, Any]:
     """Return the record of a run, made on this machine and by this version.
 
     Args:
         folder: Of the run.
-        baseline: Score of the policy written by hand.
+        baseline: Score of the task's baseline.
         note: Remarks for readers of the record.
-        baselines: What is measured of the task's scene beside it, of `cases.BASELINES`.
+        baselines: Baselines to measure in the task's scene beside it, of `cases.BASELINES`.
+        gpu_busy: Share of the time in which the GPU was busy; None: unknown.
 
     Raises:
         UsageError: The folder is no run, or no episode has ended in it.
     """
     run, curve, lines = load_record(folder), curve_of_run(folder), read_lines(folder / "metrics.jsonl")
-    rates = [line["steps_per_s"] for line in lines]
+    rates, speed = [line["steps_per_s"] for line in lines], training_speed(lines)
     header = record_header("train", note=note)
     usual = task_config(run.task, gpu=on_gpu(run.engine))
     changed = differences(usual, run.config, but=("total_steps", "num_worlds", "seed"))
@@ -64,7 +98,7 @@ def train_record(
             "seed": run.config.seed,
         },
         **_scene_beside(run, baselines),
-        "rates": {"training": spread_of("agent-steps/s", rates[1:] or rates)},
+        "rates": {"training": spread_of("agent-steps/s", rates[1:] or rates) | {"rate": speed["mean"]}},
         "task": run.task,
         "engine": run.engine,
         "worlds": run.config.num_worlds,
@@ -74,7 +108,10 @@ def train_record(
         "config": asdict(run.config),
         "agent_steps": lines[-1]["agent_steps"],
         "seconds": round(float(curve.seconds[-1]), 1),
-        "agent_steps_per_s": median(rates[1:] or rates),  # the first iteration compiles
+        "agent_steps_per_s": speed["mean"],
+        "median_agent_steps_per_s": speed["median"],
+        "waits": speed["waits"],
+        "gpu_busy": gpu_busy,
         "score": float(curve.score[-1]),
         "bad": float(np.mean([line["bad"] for line in lines])),
         "baseline": baseline,
@@ -102,14 +139,16 @@ def _scene_beside(run: RunRecord, baselines: str) -> dict[str, Any]:
     return {"scene": None, "baselines": {name: missing(reason) for name in PHYSICS_NAMES}}
 
 
-def record_run(folder: Path, baseline: float | None, options: BaselineOptions) -> str:
+def record_run(
+    folder: Path, baseline: float | None, options: BaselineOptions, gpu_busy: float | None = None
+) -> str:
     """Append the record of a run to a file; return it in a line.
 
     Raises:
         UsageError: See `train_record`; or no such word for baselines.
     """
     options.check()
-    record = train_record(folder, baseline, options.note, options.baselines)
+    record = train_record(folder, baseline, options.note, options.baselines, gpu_busy)
     append_record(record, options.json)
     reached, text = record["baseline_reached_s"], ""
     if baseline is not None:
@@ -117,8 +156,17 @@ def record_run(folder: Path, baseline: float | None, options: BaselineOptions) -
     return (
         f"{record['task']}, seed {record['seed']}, {record['worlds']} worlds on {record['device']}: "
         f"{record['agent_steps']:,} agent steps in {record['seconds']:.0f} s "
-        f"({record['agent_steps_per_s']:,.0f} agent steps/s), score {record['score']:.3f}{text}"
+        f"({record['agent_steps_per_s']:,.0f} agent steps/s with all waits, median of the iterations "
+        f"{record['median_agent_steps_per_s']:,.0f}{_waits_text(record)}), score {record['score']:.3f}{text}"
     )
+
+
+def _waits_text(record: Mapping[str, Any]) -> str:
+    """Return the shares of waits, and of the time in which the GPU was busy."""
+    shares = [f"{reason} {share:.0%}" for reason, share in record["waits"].items() if share >= 0.005]
+    if record["gpu_busy"] is not None:
+        shares.append(f"GPU busy {record['gpu_busy']:.0%}")
+    return "".join(f", {share}" for share in shares)
 
 
 def measure_training(case: TrainCase, baseline: float | None, options: BaselineOptions = USUAL) -> str:
@@ -130,8 +178,34 @@ def measure_training(case: TrainCase, baseline: float | None, options: BaselineO
     with TemporaryDirectory(prefix="usarmjx-bench-") as folder:
         run = Path(folder) / "run"
         command: Sequence[str] = [sys.executable, "-m", "usarmjx", *case.words(run)]
-        done = subprocess.run(command, capture_output=True, text=True)
+        with _gpu_samples(run / "metrics.jsonl") as samples:
+            done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             said = [line for line in done.stderr.splitlines() if line.strip()]
             raise UsageError(f"the training failed: {said[-1] if said else done.returncode}")
-        return record_run(run, baseline, options)
+        return record_run(run, baseline, options, sum(samples) / len(samples) if samples else None)
+
+
+@contextmanager
+def _gpu_samples(log: Path) -> Generator[list[float]]:
+    """Yield a list that fills with the GPU's utilisation from a run's first iteration on (0 to 1)."""
+    ended, samples = Event(), list[float]()
+    command = ["nvidia-smi", "--query-gpu=utilization.gpu", "--format=csv,noheader,nounits"]
+
+    def sample() -> None:
+        while not ended.wait(SAMPLE_INTERVAL):
+            if not log.exists() or not log.stat().st_size:
+                continue
+            try:
+                told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+                samples.append(float(told.stdout.split()[0]) / 100)
+            except (OSError, ValueError, IndexError, subprocess.SubprocessError):
+                return  # a machine without a GPU
+
+    thread = Thread(target=sample, name="GPU utilisation", daemon=True)
+    thread.start()
+    try:
+        yield samples
+    finally:
+        ended.set()
+        thread.join()

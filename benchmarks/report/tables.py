@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from statistics import median
+from typing import Any
 
 from benchmarks.report.records import BenchRecord
 from benchmarks.serving.clients import rows as figure_rows
@@ -191,7 +192,7 @@ def train_table(records: Sequence[BenchRecord]) -> str:
     """Training runs."""
     head = (
         "task", "engine", "worlds", "processes", "seed", "agent steps",
-        "agent-steps/s", "score", "by hand",
+        "agent-steps/s, all waits", "median", "host waits", "GPU busy", "score", "baseline",
     )  # fmt: skip
 
     def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
@@ -202,12 +203,25 @@ def train_table(records: Sequence[BenchRecord]) -> str:
             str(record.data.get("processes", 1)),
             str(record.data["seed"]),
             number(record.data["agent_steps"]),
-            number(record.data["agent_steps_per_s"]),
+            *_training_rates(record.data),
             number(record.data["score"]),
             number(record.data["baseline"]),
         ]
 
     return records_table(records, "train", head, rows)
+
+
+def _training_rates(data: Mapping[str, Any]) -> list[str]:
+    """Return the mean and the median rate, the host's waits, and the GPU's utilisation.
+
+    Older records have the median alone.
+    """
+    if "median_agent_steps_per_s" not in data:
+        return ["-", number(data["agent_steps_per_s"]), "-", "-"]
+    waits = ", ".join(f"{reason} {share:.0%}" for reason, share in data["waits"].items() if share >= 0.005)
+    busy = "-" if data["gpu_busy"] is None else f"{data['gpu_busy']:.0%}"
+    mean, middle = data["agent_steps_per_s"], data["median_agent_steps_per_s"]
+    return [number(mean), number(middle), waits or "-", busy]
 
 
 def serve_table(records: Sequence[BenchRecord]) -> str:

@@ -28,7 +28,7 @@ CONFIG = Config(
     checkpoint_interval=1,
     keep_checkpoints=2,
 )
-NOT_REPEATABLE = ("steps_per_s",)
+NOT_REPEATABLE = ("steps_per_s", "waits")
 PATIENCE = 600
 """Longest that a test waits for processes [s]."""
 

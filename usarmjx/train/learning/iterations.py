@@ -181,13 +181,16 @@ def _iterations(
             return
 
 
-def _line(trainer: Trainer, iteration: int, sums: dict[str, float], rate: float) -> dict[str, Any]:
+def _line(
+    trainer: Trainer, iteration: int, sums: dict[str, float], rate: float, waits: dict[str, float]
+) -> dict[str, Any]:
     """Return the record of an iteration."""
     world_steps = trainer.config.rollout_length * trainer.config.num_worlds
     return {
         "iteration": iteration,
         "agent_steps": iteration * world_steps * trainer.agents,
         "steps_per_s": rate,
+        "waits": waits,
         "level": trainer.level(iteration - 1),
         **summary(sums, world_steps),
     }
@@ -244,7 +247,7 @@ def run_iterations(
     Raises:
         WriteError: The last checkpoint, or a line of a log, is missing at the end.
     """
-    logs, done, stop = outputs.logs, restored[2], stop or StopRequest(ignore)
+    logs, done, stop, waits = outputs.logs, restored[2], stop or StopRequest(ignore), trainer.waits
     steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
     recent: list[Records] = []  # of the iterations since the last checkpoint
     lines: Records = []
@@ -256,19 +259,27 @@ def run_iterations(
         held.enter_context(closing(writer))
         for finished in chain.from_iterable(_iterations(trainer, restored, stop)):
             done = finished.number
-            numbers = trainer.numbers(finished.known)
+            with waits.timed("device"):
+                numbers = trainer.numbers(finished.known)
             began, seconds = (now := time.perf_counter()), now - began
-            lines = [_line(trainer, done, sums, steps / seconds) for sums in numbers]
+            waited = waits.take()
+            lines = [_line(trainer, done, sums, steps / seconds, waited) for sums in numbers]
             recent.append(lines)
             if finished.state is not None:
-                writer.settle()
-            if logs:
+                with waits.timed("checkpoint"):
+                    writer.settle()
+            with waits.timed("log"):
                 _write_records(logs, lines)
             if finished.state is not None:
-                scores = [_scored(trainer, finished.state[0], list(run)) for run in zip(*recent, strict=True)]
-                writer.save(done, finished.state, [{"agent_steps": done * steps, **one} for one in scores])
+                with waits.timed("checkpoint"):
+                    scores = [
+                        _scored(trainer, finished.state[0], list(run)) for run in zip(*recent, strict=True)
+                    ]
+                    notes = [{"agent_steps": done * steps, **one} for one in scores]
+                    writer.save(done, finished.state, notes)
                 recent.clear()
-            writer.show(lines, last=finished.last)
+            with waits.timed("log"):
+                writer.show(lines, last=finished.last)
             check_parent()
         if fault := writer.finish():
             raise WriteError(f"{fault}; the last checkpoint is missing: resume the run from the one before")

@@ -32,6 +32,7 @@ from usarmjx.train.learning.train_state import (
     train_state_maker,
 )
 from usarmjx.train.learning.trajectory import RolloutState
+from usarmjx.train.learning.waits import Waits
 
 SCORING_SEED = 2**31 - 1
 """Seed of the episodes in which policies are compared under a curriculum."""
@@ -74,6 +75,7 @@ class Trainer:
         self.iterations = config.iterations(self.agents)
         workers = workers_for(process_group.count)
         self.stream = ArenaStream(env, config.arena_refresh_interval, self.iterations, workers)
+        self.waits = Waits()
         teacher = teacher_of(env) if config.imitation_steps else None
         known: ProgramCache | None = getattr(env, "program_cache", None)
         # Programs are the same for all seeds and checkpoint settings.
@@ -185,10 +187,11 @@ class Trainer:
         Returns:
             Train state and rollout state, and numbers for the log.
         """
-        arenas = self.stream.arenas(iteration)
-        if self.config.curriculum or self.stream.is_refresh(iteration):
-            state = self.env.at_level(worlds.env_state, self.level(iteration), arenas)
-            worlds = worlds.replace(env_state=self.process_group.device_put(state))
+        with self.waits.timed("arenas"):
+            arenas = self.stream.arenas(iteration)
+            if self.config.curriculum or self.stream.is_refresh(iteration):
+                state = self.env.at_level(worlds.env_state, self.level(iteration), arenas)
+                worlds = worlds.replace(env_state=self.process_group.device_put(state))
         key = self._fold(self._key, iteration)
         begun = worlds.env_state
         worlds, trajectory, ends, sums = self.rollout.collect(train_state, worlds, key)
