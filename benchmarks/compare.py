@@ -113,8 +113,9 @@ def compare(folder: Path, tolerance: float) -> tuple[str, int]:
     ]
     slower = [change for change in known if change.ratio < 1 - tolerance]
     said = [
-        f"slower by {1 - change.ratio:.0%}: {change.newest.benchmark}, {change.name}, on {change.newest.where}, "
-        f"{_case_text(change.newest.case)}: {change.before.data['commit']} to {change.newest.data['commit']}"
+        f"slower by {1 - change.ratio:.0%}: {change.newest.benchmark}, {change.name}, "
+        f"on {change.newest.where}, {_case_text(change.newest.case)}: "
+        f"{change.before.data['commit']} to {change.newest.data['commit']}"
         for change in slower
     ]
     return "\n".join([table(head, rows), *said]).rstrip(), len(slower)

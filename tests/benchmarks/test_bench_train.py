@@ -85,7 +85,8 @@ def test_records_of_older_runs_have_no_waits():
 
 def test_the_table_tells_mean_and_median_apart():
     data = {
-        "benchmark": "train", "when": "2026-01-01T00:00:00+00:00", "device": "GPU", "commit": "abc", "task": "t",
+        "benchmark": "train", "when": "2026-01-01T00:00:00+00:00", "device": "GPU", "commit": "abc",
+        "task": "t",
         "engine": "c", "worlds": 1, "seed": 0, "agent_steps": 400, "score": 1.0, "baseline": None,
         "settings": {"task": {}, "training": []},
     }  # fmt: skip

@@ -68,4 +68,6 @@ def test_the_command_names_what_became_slower(rate, status, tmp_path):
     done = CliRunner().invoke(app, ["bench", "compare", "--results", str(tmp_path)])
     assert done.exit_code == status
     assert f"{rate / 100:.3f}" in done.output
-    assert ("slower by 6%: step, whole, on GPU, worlds 4, engine planar: a to b" in done.output) == bool(status)
+    assert ("slower by 6%: step, whole, on GPU, worlds 4, engine planar: a to b" in done.output) == bool(
+        status
+    )
