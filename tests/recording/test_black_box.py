@@ -94,6 +94,15 @@ def test_the_last_seconds_of_a_bad_world_are_kept_and_replayed_to_the_bit(env, t
     np.testing.assert_array_equal(states[0].qpos, expected, err_msg="it is what happened in the training")
 
 
+@pytest.mark.thorough
+def test_worlds_of_warp_share_a_list_of_contacts_and_are_recorded_alone(tmp_path):
+    env = Env(Faulty(), 3, engine="warp")
+    files, lines = recorded(env, tmp_path, env.reset(0))
+    assert [file.name for file in files] == ["iteration-000002-world-000001.mcap"], lines
+    result = check_recording(Recording(files[0]), 0)
+    assert (result.steps, result.difference) == ((STEPS + BAD_AT + 1) * REPEAT, "")
+
+
 def test_a_fault_of_the_physics_comes_again_and_recordings_are_bounded(env, tmp_path):
     state = env.reset(0)
     numbers = state.batch.physics.integration.copy()

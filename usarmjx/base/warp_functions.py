@@ -13,6 +13,8 @@ from threading import Lock
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+from usarmjx.base.warp_callbacks import pause_collection_in_callbacks
+
 _LOCK = Lock()
 """Guards the launch table and Warp's own counter."""
 
@@ -111,6 +113,7 @@ def warp_function(make: Callable[..., Any]) -> Callable[..., WarpFunction]:
     @cache
     @wraps(make)
     def made(*given: Any) -> WarpFunction:  # noqa: ANN401 - the function's own
+        pause_collection_in_callbacks()
         return WarpFunction((make.__module__, make.__qualname__), given, make(*given))
 
     return made

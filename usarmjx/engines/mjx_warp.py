@@ -18,6 +18,7 @@ from jax.custom_batching import custom_vmap
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
+from usarmjx.base.warp_callbacks import pause_collection_in_callbacks
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.cylinder_box import check_mjx_version
 from usarmjx.engines.mjx import MjxEngine, local_device
@@ -275,6 +276,7 @@ class WarpEngine(MjxEngine):
             raise EngineError(
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
+        pause_collection_in_callbacks()
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         if jax.default_backend() == "cpu":
             atexit.register(block_until_finished)

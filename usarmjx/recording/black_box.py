@@ -222,12 +222,17 @@ def _is_moved(before: EnvState, after: EnvState, world: int) -> bool:
 
 
 def _one_world(part: Any, like: Any, world: int) -> np.ndarray:  # noqa: ANN401 - arrays of NumPy or JAX
-    """Return a world's part of an array, along the axis that a batch of one world has 1 of."""
+    """Return a world's part of an array, along the axis that a batch of one world has 1 of.
+
+    Engine `warp` has the contacts of all worlds in one list, shorter for one world: each step makes them
+    anew, so the list of the batch of one world serves.
+    """
     axes = [axis for axis, (a, b) in enumerate(zip(part.shape, like.shape, strict=True)) if a != b]
     if not axes:
         return np.array(part)
-    (axis,) = axes
-    return np.take(np.asarray(part), [world], axis)
+    if len(axes) > 1 or like.shape[axes[0]] != 1:
+        return np.array(like)
+    return np.take(np.asarray(part), [world], axes[0])
 
 
 def _by_slot(env: Env, orders: list[dict[str, Any]]) -> dict[int, dict[str, Any]]:
