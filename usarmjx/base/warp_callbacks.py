@@ -8,6 +8,7 @@ captured fails with CUDA error 901.
 import gc
 from collections.abc import Callable
 from functools import cache, wraps
+from importlib import import_module
 from threading import Lock
 from typing import Any
 
@@ -49,9 +50,9 @@ def without_collection(callback: Callable[..., Any]) -> Callable[..., Any]:
 @cache
 def pause_collection_in_callbacks() -> None:
     """Let all kernels that are made from now on call back without the collector."""
-    from warp._src.jax import ffi
-
-    register: Callable[..., Any] = ffi._register_ffi_targets  # Warp has no public place for it
+    # Warp has no public place for it; its version is pinned.
+    ffi: Any = import_module("warp._src.jax.ffi")
+    register: Callable[..., Any] = ffi._register_ffi_targets
 
     def register_paused(name: str, callback: Callable[..., Any]) -> Any:  # noqa: ANN401 - Warp's own
         return register(name, without_collection(callback))

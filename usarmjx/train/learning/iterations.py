@@ -62,6 +62,12 @@ def _scored(trainer: Trainer, train_state: TrainState, lines: list[dict[str, Any
     return {"score": trainer.full_difficulty_score(train_state) if first else None, "kind": FULL}
 
 
+def _notes(trainer: Trainer, train_state: TrainState, agent_steps: int, recent: list[Records]) -> Records:
+    """Return a checkpoint's note for each run, from the records since the one before."""
+    scores = [_scored(trainer, train_state, list(run)) for run in zip(*recent, strict=True)]
+    return [{"agent_steps": agent_steps, **one} for one in scores]
+
+
 class _CheckpointWriter:
     """Writer of checkpoints in a thread beside the training, one at a time.
 
@@ -249,9 +255,8 @@ def run_iterations(
     """
     logs, done, stop, waits = outputs.logs, restored[2], stop or StopRequest(ignore), trainer.waits
     steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
-    recent: list[Records] = []  # of the iterations since the last checkpoint
-    lines: Records = []
-    say: Callable[[str], None] = logs[0].say if logs else ignore
+    recent, lines = list[Records](), Records()  # of the iterations since the last checkpoint; of the last one
+    say = logs[0].say if logs else ignore
     writer = _CheckpointWriter(outputs.save, trainer.process_group.count == 1, say, outputs.watch)
     with ExitStack() as held:
         for log in logs:
@@ -272,11 +277,9 @@ def run_iterations(
                 _write_records(logs, lines)
             if finished.state is not None:
                 with waits.timed("checkpoint"):
-                    scores = [
-                        _scored(trainer, finished.state[0], list(run)) for run in zip(*recent, strict=True)
-                    ]
-                    notes = [{"agent_steps": done * steps, **one} for one in scores]
-                    writer.save(done, finished.state, notes)
+                    writer.save(
+                        done, finished.state, _notes(trainer, finished.state[0], done * steps, recent)
+                    )
                 recent.clear()
             with waits.timed("log"):
                 writer.show(lines, last=finished.last)
@@ -287,8 +290,7 @@ def run_iterations(
             log.check_whole()
     if not lines:  # the run was over already
         lines = [(read_lines(folder / "metrics.jsonl") or [{}])[-1] for folder in outputs.folders]
-    stopped = done < trainer.iterations
     return [
-        TrainResult(folder, done, done * steps, line, stopped)
+        TrainResult(folder, done, done * steps, line, done < trainer.iterations)
         for folder, line in zip(outputs.folders, lines, strict=True)
     ]

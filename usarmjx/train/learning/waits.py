@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import Literal, TypeAlias, get_args
 
 Reason: TypeAlias = Literal["arenas", "device", "checkpoint", "log"]
-"""New arenas and their transfer; results of the device; checkpoints and their scores; metrics and watchers."""
+"""New arenas and their transfer; results of the device; checkpoints and scores; metrics and watchers."""
 
 
 class Waits:
