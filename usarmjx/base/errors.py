@@ -17,8 +17,6 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from types import TracebackType
 
-from usarmjx.base.import_notes import without_notes
-
 MAX_QUOTATION = 200
 """Longest quotation of a foreign exception's message [characters]."""
 
@@ -110,6 +108,8 @@ class extra:
     """
 
     def __init__(self, name: str) -> None:
+        from usarmjx.base.import_notes import without_notes  # `import usarmjx` needs none
+
         self._name, self._quiet = name, without_notes()
 
     def __enter__(self) -> None:
