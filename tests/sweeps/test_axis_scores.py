@@ -7,7 +7,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.plots.style import PAGE
 from usarmjx.sweeps.analysis import axis_rows, overall_rows, shared_cells
-from usarmjx.sweeps.figures import cells_told, draw_sweep, plot_sweep
+from usarmjx.sweeps.figures import cells_told, draw_sweep, in_lines, plot_sweep
 from usarmjx.sweeps.report import report
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 
@@ -200,3 +200,8 @@ def test_figures_are_pixels_or_vectors(uneven, tmp_path, suffix):
     assert head.startswith({".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}[suffix])
     with pytest.raises(UsageError, match=r"x.jpg: figures end in .png, .pdf, .svg, .eps"):
         plot_sweep(uneven, tmp_path / "x.jpg")
+
+
+def test_a_team_has_a_line_for_each_class_and_a_range_one_line():
+    assert in_lines("P2AT x 2, kenaf x 1") == "P2AT x 2,\nkenaf x 1"
+    assert in_lines("[0.7, 1.3]") == "[0.7, 1.3]"

@@ -231,7 +231,7 @@ def panel_title(title: str, runs: int) -> str:
     """Return the title of curves in short lines: task and engine, then worlds, runs and devices."""
     what, _, about = title.removesuffix(")").partition(" (")
     worlds, *devices = about.split(", ")
-    names = ", ".join(devices).replace("NVIDIA ", "").replace(" 80GB HBM3", "")
+    names = ", ".join(devices).replace("NVIDIA ", "").replace(" 80GB HBM3", "").replace("x86_64", "CPU")
     lines = [what, ", ".join(filter(None, [worlds, f"{runs} run{'s' * (runs > 1)}", names]))]
     return "\n".join(part for line in lines for part in wrap(line, TITLE_LETTERS))
 

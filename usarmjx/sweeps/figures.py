@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import performance_profile
@@ -40,6 +41,8 @@ from usarmjx.sweeps.store import StoredSweep
 from usarmjx.sweeps.table import scores_of
 
 THRESHOLDS = 101
+MOST_LETTERS, MOST_NUMBERS = 36, 5
+"""Letters of an axis' names, and its numbers, that have room beside each other."""
 Panel = Callable[[Axes], None]
 """Draws a panel."""
 
@@ -99,7 +102,10 @@ def _figures_of(
             panel.set_gid(name)
             draw(panel)
             scales += [panel] if name not in ("profile", "front") else []
-        figure.suptitle(f"{task}: mean score and 95 % interval", x=0.01, ha="left", fontsize=8)
+        scored = any(name not in ("profile", "front") for name, _ in part)
+        figure.suptitle(
+            f"{task}: mean score and 95 % interval" if scored else task, x=0.01, ha="left", fontsize=8
+        )
         if len(policies) > 1:
             _legend(figure, policies)
         figures.append(figure)
@@ -161,14 +167,22 @@ def _axis_panel(panel: Axes, axis: str, rows: Sequence[AxisRow], policies: Seque
         style: dict[str, Any] = {"color": _colour(number), "marker": _mark(number), "label": label}
         panel.errorbar(x, y, yerr=bar, linestyle="-" if joined else "none", elinewidth=0.9, **style)
     if named:
-        long = max(len(value.text) for value in values) > 8
-        turned: dict[str, Any] = {"rotation": 20, "ha": "right"} if long else {}
-        panel.set_xticks(range(len(values)), [value.text for value in values], **turned)
+        names = [in_lines(value.text) for value in values]
+        width = max(len(line) for name in names for line in name.split("\n"))
+        turned: dict[str, Any] = {"rotation": 20, "ha": "right"} if width * len(names) > MOST_LETTERS else {}
+        panel.set_xticks(range(len(values)), names, **turned)
         panel.set_xlim(-0.5, len(values) - 0.5)
+    else:
+        panel.xaxis.set_major_locator(MaxNLocator(MOST_NUMBERS, steps=[1, 2, 5, 10]))
     panel.set_xlabel(setting_name(axis))
     panel.set_ylabel("score")
     if any(row.left_out or row.own for row in rows):
         panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
+
+
+def in_lines(name: str) -> str:
+    """Return the name of a value with a line for each robot class of a team; ranges stay in one line."""
+    return name if name.startswith("[") else name.replace(", ", ",\n")
 
 
 def cells_told(policy: str, used: int, left_out: int, own: bool) -> str:
