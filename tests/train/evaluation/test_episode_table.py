@@ -27,6 +27,11 @@ def test_the_rows_are_the_episodes_of_each_seed():
     assert set(table["policy"]) == set(table["task"]) == {"drive-to-goal"}
 
 
+def test_a_packaged_policy_has_its_name_and_no_path():
+    table = usarmjx.evaluate("drive-to-goal", engine="c", worlds=2, episodes=2, settings={"episode_steps": 5})
+    assert set(table["policy"]) == {"drive-to-goal"}
+
+
 def test_what_is_no_policy_is_refused():
     with pytest.raises(UsageError, match="name a policy, or a task for its baseline"):
         usarmjx.evaluate()
