@@ -111,6 +111,10 @@ def test_everybody_sees_all_of_the_arena_in_their_window_and_again_when_it_gets_
         visitor.look(place(), 0.5)  # the panel docks, or a phone is turned
         until(page, lambda: is_fitted(0.5))
         assert np.linalg.norm(place()) > 1.3 * np.linalg.norm(page.first_pose(1.6).pos)
+        fitted = len(visitor.of("SetCameraPositionMessage"))
+        visitor.look(page.server.initial_camera.position, 0.5)  # a slow browser, after it got its view
+        until(page, lambda: len(visitor.of("SetCameraPositionMessage")) > fitted)
+        assert is_fitted(0.5)
         moved = np.multiply(place(), 0.5)
         visitor.look(moved, 0.5)
         until(page, lambda: camera_of(page).position == pytest.approx(moved))

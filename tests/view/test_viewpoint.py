@@ -15,6 +15,7 @@ from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.view.viewpoint import (
     FILL_SHARE,
     FOV,
+    MAX_FRAMED,
     UP,
     Chase,
     Viewer,
@@ -189,13 +190,24 @@ def test_a_view_is_untouched_until_somebody_moves_it_and_while_the_browser_tells
     viewer.frame(first, 1.6)
     viewer.frame(fit_box(LOW, HIGH, 1.0), 1.0)
     assert viewer.is_untouched
+    assert viewer.is_fitted
     viewer.client.camera.position = first.pos
     assert viewer.is_untouched
+    assert not viewer.is_fitted
     viewer.client.camera.position = first.pos * 1.05
     assert not viewer.is_untouched
     viewer.client.camera.position = first.pos
     viewer.attach(0)
     assert not viewer.is_untouched
+
+
+def test_a_view_that_is_put_back_again_and_again_stays_untouched():
+    viewer, first, fitted = Viewer(Client()), fit_box(LOW, HIGH, 1.6), fit_box(LOW, HIGH, 1.0)
+    viewer.frame(first, 1.6)
+    for _ in range(2 * MAX_FRAMED):
+        viewer.frame(fitted, 1.0)
+        viewer.client.camera.position = first.pos
+        assert viewer.is_untouched
 
 
 def test_who_is_with_a_robot_that_leaves_looks_freely():

@@ -331,8 +331,10 @@ class ViewerPage:
         self._buttons.update()
         for viewer in list(self.viewers.values()):
             self._guarded(lambda viewer=viewer: viewer.update(self.drawing, self.frame, self._cell.offset))
-            # The picture gets narrower when the panel docks beside it, and on a phone that is turned.
-            if viewer.is_untouched and abs(viewer.client.camera.aspect / viewer.aspect - 1) > NEW_ASPECT:
+            # The picture gets narrower when the panel docks beside it, and on a phone that is turned. A slow
+            # browser may go to the page's initial camera after it has got the view of its user.
+            other_shape = abs(viewer.client.camera.aspect / viewer.aspect - 1) > NEW_ASPECT
+            if viewer.is_untouched and (other_shape or not viewer.is_fitted):
                 self._frame_all(viewer)
 
     def close(self) -> None:

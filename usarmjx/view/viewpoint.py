@@ -330,14 +330,22 @@ class Viewer:
     @property
     def is_untouched(self) -> bool:
         """Whether the view is where `frame` put it: the user has neither moved nor attached it."""
-        pos = np.asarray(self.client.camera.position)
         # The browser tells late where its camera is, so that earlier places count, too.
-        near = (np.linalg.norm(pos - one) < FRAMED_TOLERANCE * np.linalg.norm(one) for one in self.framed)
-        return self.robot is None and any(near)
+        return self.robot is None and any(self._is_at(place) for place in self.framed)
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the view is where `frame` put it last."""
+        return bool(self.framed) and self._is_at(self.framed[-1])
+
+    def _is_at(self, place: np.ndarray) -> bool:
+        distance = np.linalg.norm(np.asarray(self.client.camera.position) - place)
+        return bool(distance < FRAMED_TOLERANCE * np.linalg.norm(place))
 
     def frame(self, pose: CameraPose, aspect: float) -> None:
         """Move a free view to a pose that was fitted for an aspect of its picture."""
-        self.framed = [*self.framed[-MAX_FRAMED + 1 :], pose.pos]
+        if not (self.framed and np.array_equal(self.framed[-1], pose.pos)):
+            self.framed = [*self.framed[-MAX_FRAMED + 1 :], pose.pos]
         self.aspect = aspect
         move_camera(self.client, pose)
 
