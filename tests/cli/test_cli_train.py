@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +18,10 @@ from typer.testing import CliRunner
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.app import app
 from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.seeds import check_curriculum
 from usarmjx.cli.startup_messages import say
 from usarmjx.cli.train import _served
-from usarmjx.cli.train_plan import recorded_engine
+from usarmjx.cli.train_plan import TrainOptions, recorded_engine
 from usarmjx.train.learning.config import Config, task_config, training_engine
 from usarmjx.train.learning.run_record import EnvArguments, RunRecord, save_seeds, seed_folder
 from usarmjx.train.learning.trainer import TrainResult
@@ -276,6 +278,7 @@ def test_several_seeds_are_runs_in_one_folder_and_go_on_with_their_settings(tmp_
         (["--record", "x.mcap"], "--record shows a single seed: leave it out, or --seeds"),
         (["--clips", 5], "--clips shows a single seed: leave it out, or --seeds"),
         (["--wandb", "x"], "--wandb shows a single seed: leave it out, or --seeds"),
+        (["--set", "curriculum=0.5"], "curriculum is 0.5: seeds that train together have none"),
     ],
 )
 def test_what_is_for_a_single_seed_is_refused_in_a_line(words, message, tmp_path):
@@ -283,3 +286,35 @@ def test_what_is_for_a_single_seed_is_refused_in_a_line(words, message, tmp_path
     assert result.exit_code == 2
     assert result.stderr == f"usarmjx: {message}\n"
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "typed", "refused"),
+    [
+        ("curriculum: 0.5\n", [], True),
+        ("curriculum: 0.5\n", ["curriculum=0"], False),
+        ("curriculum: 0\n", ["curriculum=1"], True),
+        ("gamma: 0.9\n", [], False),
+        ("curriculum: hard\n", [], False),  # refused as no number, with file and line
+    ],
+)
+def test_a_curriculum_of_several_seeds_is_seen_in_the_file_of_settings_too(text, typed, refused, tmp_path):
+    file = tmp_path / "s.yaml"
+    file.write_text(text)
+    options = TrainOptions(out=tmp_path / "x", engine="auto", config=file, given={}, pairs=typed)
+    if not refused:
+        check_curriculum(options)
+        return
+    with pytest.raises(UsageError, match=r"^curriculum is (0\.5|1\.0): seeds that train together have none$"):
+        check_curriculum(options)
+
+
+def test_a_curriculum_of_several_seeds_is_refused_before_jax_is_imported():
+    words = ["usarmjx", "train", "drive-to-goal", "--seeds", "2", "--set", "curriculum=0.5"]
+    code = f"import atexit, runpy, sys; sys.argv = {words}\n"
+    code += "atexit.register(lambda: print('jax' in sys.modules))\n"
+    code += "runpy.run_module('usarmjx', run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr == "usarmjx: curriculum is 0.5: seeds that train together have none\n"
+    assert done.stdout == "False\n"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import parse_assignments, read_file
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.train_plan import TrainOptions, plan_run, recorded_engine, stop_request
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 SET_FILE = "seeds.json"
 """`SET_FILE` of the trainer, whose module imports JAX."""
+CURRICULUM = "curriculum"
+"""Field of `Config`, whose module imports JAX."""
 
 
 def trains_seeds(out: Path, count: int | None, resume: bool) -> bool:
@@ -41,6 +44,26 @@ def check_alone(views: Mapping[str, bool], processes: int) -> None:
         raise UsageError("several seeds train in one process: leave out --processes, or --seeds")
     if shown := [name for name, wanted in views.items() if wanted]:
         raise UsageError(f"{shown[0]} shows a single seed: leave it out, or --seeds")
+
+
+def check_curriculum(options: TrainOptions) -> None:
+    """Refuse a curriculum, before JAX is imported; other values are refused where they are read.
+
+    Args:
+        options: The request.
+
+    Raises:
+        UsageError: Seeds that train together have no curriculum; or as `read_file`, `parse_assignments`.
+    """
+    data = {} if options.config is None else read_file(options.config).mapping()
+    typed = parse_assignments(options.pairs, "--set").get(CURRICULUM)
+    value = data[CURRICULUM].data if typed is None and CURRICULUM in data else typed
+    try:
+        share = float(str(value))
+    except ValueError:
+        return
+    if 0 < share <= 1:
+        raise UsageError(f"{CURRICULUM} is {share}: seeds that train together have none")
 
 
 def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) -> None:

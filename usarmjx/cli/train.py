@@ -34,7 +34,7 @@ from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.known_names import check_policy
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import PicturesOption, RecordOption, export_recording
-from usarmjx.cli.seeds import check_alone, result_line, run_seeds, trains_seeds
+from usarmjx.cli.seeds import check_alone, check_curriculum, result_line, run_seeds, trains_seeds
 from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import task_text
@@ -232,6 +232,7 @@ def train(
         shown = _Shown(serve, port, port_offset, view, viewer_port, record, record_every, wandb, quiet, clips)
         if trains_seeds(out, seeds, resume):
             check_alone(shown.views, processes)
+            check_curriculum(options)
             run_seeds(task, options, seeds, quiet)
         else:
             _run_training(task, options, shown, processes)
