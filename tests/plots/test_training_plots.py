@@ -24,6 +24,7 @@ from usarmjx.plots.training_plots import (
     draw_curves,
     mean_curve,
     panel_title,
+    plain_fields,
     read_curves,
     thinned,
 )
@@ -104,16 +105,22 @@ def test_runs_of_other_kinds_are_drawn_by_themselves():
         "wait on c (8 worlds)": [2.0],
         "wait on planar (8 worlds)": [1.0],
         "go on c (8 worlds)": [3.0],
-        "wait, advice=false on c (8 worlds)": [4.0],
+        "wait without advice on c (8 worlds)": [4.0],
         "wait on c (64 worlds)": [5.0],
     }
 
 
 def test_titles_have_lines_that_fit_above_a_panel():
     """Of two panels beside each other, the title of one does not run into that of the other."""
-    said = panel_title("wait, advice=false on planar (2048 worlds, NVIDIA H100 80GB HBM3 and NVIDIA H200)", 3)
-    assert said == "wait, advice=false on planar\n2048 worlds, 3 runs, H100 and\nH200"
+    title = "wait without advice on planar (2048 worlds, NVIDIA H100 80GB HBM3 and NVIDIA H200)"
+    assert panel_title(title, 3) == "wait without advice on planar\n2048 worlds, 3 runs, H100 and\nH200"
     assert panel_title("wait on c (8 worlds)", 1) == "wait on c\n8 worlds, 1 run"
+
+
+def test_titles_have_fields_of_the_task_in_words():
+    said = plain_fields("advice=false, hold=True, physics=reference")
+    assert said == "without advice, with hold, with physics reference"
+    assert plain_fields("") == ""
 
 
 def test_seeds_of_several_machines_are_told_to_be():

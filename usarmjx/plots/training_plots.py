@@ -74,7 +74,7 @@ class Curve:
     @property
     def title(self) -> str:
         """Task, engine and device, in a few words."""
-        task = ", ".join(filter(None, [self.task, self.fields]))
+        task = " ".join(filter(None, [self.task, plain_fields(self.fields)]))
         engine = f" on {self.engine}" if self.engine else ""
         about = ", ".join(filter(None, [f"{self.worlds} worlds", self.device]))
         return f"{task}{engine} ({about})"
@@ -82,6 +82,16 @@ class Curve:
 
 Axis = Callable[[Curve], np.ndarray]
 """Values of a curve along x (points,)."""
+
+
+def plain_fields(fields: str) -> str:
+    """Return overridden fields of a task in words: `advice=false` as `without advice`."""
+    words: list[str] = []
+    for field in filter(None, fields.split(", ")):
+        name, _, value = field.partition("=")
+        plain = {"false": "without {}", "true": "with {}"}.get(value.lower(), "with {} {}")
+        words.append(plain.format(name, value))
+    return ", ".join(words)
 
 
 def fields_of_record(record: Mapping[str, Any]) -> str:
