@@ -8,11 +8,12 @@ from scipy import stats
 from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import Estimate
 from usarmjx.cli.app import app
 from usarmjx.sweeps.analysis import aggregates, axis_rows, overall_rows, policy_differences
 from usarmjx.sweeps.design import episodes_of, mean_score
 from usarmjx.sweeps.page import latex_text
-from usarmjx.sweeps.report import report
+from usarmjx.sweeps.report import as_words, report
 from usarmjx.sweeps.spec import read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, write_cell, write_sweep
 
@@ -173,6 +174,12 @@ class Links(HTMLParser):
         self.loaded += [
             value for name, value in attrs if name in ("src", "href") and not value.startswith("#")
         ]
+
+
+def test_a_number_that_is_the_rounding_of_its_sum_is_printed_as_0():
+    assert as_words(Estimate(value=1.54e-18, low=-0.01, high=0.03, count=9)) == "0 (-0.01 to 0.03)"
+    assert as_words(Estimate(value=1e-8, low=0.5e-8, high=2e-8, count=9)) == "1e-08 (5e-09 to 2e-08)"
+    assert as_words(Estimate(value=1e-8, low=1e-8, high=1e-8, count=9)) == "1e-08 (1e-08 to 1e-08)"
 
 
 def test_a_report_is_one_page_that_loads_nothing_and_a_latex_table(compared, tmp_path):

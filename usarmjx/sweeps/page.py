@@ -17,7 +17,7 @@ from usarmjx.base.files import atomic_write
 from usarmjx.plots.style import figure_style
 from usarmjx.sweeps.analysis import aggregates, overall_rows, policy_differences, tasks_of
 from usarmjx.sweeps.figures import draw_sweep
-from usarmjx.sweeps.report import report
+from usarmjx.sweeps.report import report, without_residue
 from usarmjx.sweeps.spec import BUNDLED, as_text
 from usarmjx.sweeps.store import StoredSweep
 
@@ -181,7 +181,7 @@ def _latex(found: Estimate) -> str:
         return "--"
     if not np.isfinite(found.low):
         return f"{found.value:.3g}"
-    return rf"{found.value:.3g} ({found.low:.3g} to {found.high:.3g})"
+    return rf"{without_residue(found):.3g} ({found.low:.3g} to {found.high:.3g})"
 
 
 def latex_tables(found: StoredSweep) -> str:

@@ -23,6 +23,8 @@ from usarmjx.sweeps.store import StoredSweep
 MOST_POINTS = 12
 """Cells of a front that are listed."""
 MOST_CHANGES = 40
+RESIDUE = 1e-9
+"""Share of its interval below which a number is a sum's rounding."""
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -41,7 +43,12 @@ def as_words(found: Estimate) -> str:
         return "none"
     if not np.isfinite(found.low):
         return f"{found.value:.3g}"
-    return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g})"
+    return f"{without_residue(found):.3g} ({found.low:.3g} to {found.high:.3g})"
+
+
+def without_residue(found: Estimate) -> float:
+    """Return the value of a number with an interval; 0 if only its sum's rounding differs from 0."""
+    return 0.0 if abs(found.value) < RESIDUE * (found.high - found.low) else found.value
 
 
 def report(found: StoredSweep) -> str:
