@@ -170,6 +170,52 @@ def test_gymnasium_own_keywords_are_known_and_others_refused():
         VectorWorlds(LineToy(), render_mode="human")
 
 
+def test_a_single_world_stays_at_its_end_until_a_reset():
+    world = TeamWorld(LineToy())
+    world.reset(seed=0)
+    for _ in range(6):
+        world.step(np.float32([1.0, 0.0] * 2 + [0.0]))
+    assert world.state() == pytest.approx([1 / 8 + 6 * 0.1])
+    world.reset()
+    assert world.state() == pytest.approx([1 / 8 + 1 / 16])
+
+
+def test_the_last_picture_of_an_episode_shows_its_end():
+    """A world whose episode goes on is the oracle."""
+    short, long = (
+        gymnasium.make(ID, episode_steps=steps, render_mode="rgb_array", **FLAT) for steps in (4, 8)
+    )
+    for world in (short, long):
+        world.reset(seed=0)
+    for step in range(4):
+        *_, ended, late, _ = short.step(np.float32([1.0, 0.0]))
+        long.step(np.float32([1.0, 0.0]))
+        assert (ended or late) == (step == 3)
+    end = short.render()
+    np.testing.assert_array_equal(end, long.render())
+    short.reset()
+    assert (short.render() != end).any()
+
+
+def test_a_single_world_shows_a_picture_after_a_fault_and_goes_on():
+    import mujoco
+
+    world = gymnasium.make(ID, episode_steps=12, render_mode="rgb_array", **FLAT).unwrapped
+    world.reset(seed=0)
+    worlds, ahead = world.worlds, np.float32([0.4, 0.4])
+    physics = worlds._state.batch.physics
+    numbers = physics.integration.copy()
+    numbers[0, worlds.env.batch.engine._parts[mujoco.mjtState.mjSTATE_QVEL].start] = np.nan
+    broken = worlds._state.batch.replace(physics=physics._replace(integration=numbers))
+    worlds._state = worlds._state.replace(batch=broken)
+    _, reward, ended, late, info = world.step(ahead)
+    assert (reward, ended, late, bool(info["fault"])) == (0.0, False, True, True)
+    assert world.render().shape == (240, 320, 3)
+    assert np.isfinite(world.reset()[0]).all()
+    _, _, ended, late, info = world.step(ahead)
+    assert (ended, late, bool(info["bad"])) == (False, False, False)
+
+
 def test_record_video_of_gymnasium_writes_the_frames_of_an_episode(tmp_path):
     """MoviePy 2 asks for Pillow 11, `dev` takes a later one: the workflow's job `adapters` installs it."""
     pytest.importorskip("moviepy", reason="needs MoviePy, which gymnasium[other] brings")

@@ -7,6 +7,7 @@ import re
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
@@ -63,8 +64,9 @@ def register_ids() -> None:
 class TeamWorld(gymnasium.Env[np.ndarray, Any]):
     """One world as a `gymnasium.Env`, whose agent is the whole team, as `VectorWorlds` joins it.
 
-    `reset` without a seed goes on with the episode after, in the next arena; in the middle of an episode it
-    starts anew from a seed that it draws.
+    The world stays at the end of its episode, and pictures and `state` show that end, until `reset`: without
+    a seed it goes on with the episode after, in the next arena; in the middle of an episode it starts anew
+    from a seed that it draws.
 
     Args:
         env: An environment of one world.
@@ -91,10 +93,10 @@ class TeamWorld(gymnasium.Env[np.ndarray, Any]):
         check_one_world(env, "a gymnasium.Env")
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": max(1, round(1 / env.period))}
         self.render_mode = render_mode
-        self.worlds: Any = VectorWorlds(env, seed=seed, render_mode=render_mode, actions=actions, bins=bins)
+        self.worlds: Any = _LastingWorlds(env, seed=seed, render_mode=render_mode, actions=actions, bins=bins)
         self.observation_space = self.worlds.single_observation_space
         self.action_space = self.worlds.single_action_space
-        self._next: np.ndarray | None = None
+        self._over = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -109,9 +111,9 @@ class TeamWorld(gymnasium.Env[np.ndarray, Any]):
         """
         check_no_options(options)
         super().reset(seed=seed)
-        following, self._next = self._next, None
-        if seed is None and following is not None:
-            return following, {}
+        over, self._over = self._over, False
+        if seed is None and over:
+            return self.worlds.go_on()[0], {}
         return self.worlds.reset(seed=seed)[0][0], {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
@@ -125,18 +127,16 @@ class TeamWorld(gymnasium.Env[np.ndarray, Any]):
         Raises:
             UsageError: The episode is over, the action has another shape, or no `reset` yet.
         """
-        if self._next is not None:
+        if self._over:
             raise UsageError(f"{self.worlds.env.name}: the episode is over; call reset")
         obs, reward, ended, late, infos = self.worlds.step(np.asarray(action)[None])
-        done = bool(ended[0] or late[0])
-        told = {**infos, **infos["final_info"]} if done else infos
-        if done:
-            self._next, obs = obs[0], infos["final_obs"]
+        self._over = bool(ended[0] or late[0])
+        told = {**infos, **infos["final_info"]} if self._over else infos
         info = {name: told[name][0] for name in told if not name.startswith(("_", "final_"))}
         return obs[0], float(reward[0]), bool(ended[0]), bool(late[0]), info
 
     def render(self) -> Any:  # noqa: ANN401 - an array, or None without a render mode
-        """Return a picture of the world from above (height, width, 3); after an end, of the next start."""
+        """Return a picture of the world from above (height, width, 3)."""
         pictures = self.worlds.render()
         return None if pictures is None else pictures[0]
 
@@ -454,6 +454,21 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         now, end = self._rows(s.alive) > 0, self._rows(s.final_alive) > 0
         shown = np.where(done[:, None], end, now) if self._next_step else now
         return _masked({"alive_agents": shown}, np.ones_like(done))
+
+
+class _LastingWorlds(VectorWorlds):
+    """Worlds that stay at the end of their episode until `go_on`, with `autoreset="same_step"`."""
+
+    def __init__(self, env: "Env", **settings: Any) -> None:  # noqa: ANN401 - those of `VectorWorlds`
+        super().__init__(env, **settings)
+        self._step = jax.jit(env.advance) if env.traceable else env.advance
+        self._restart = jax.jit(env.restart) if env.traceable else env.restart
+
+    def go_on(self) -> np.ndarray:
+        """Begin the next episode of all worlds; return observations of its start (num_envs, size)."""
+        assert self._state is not None  # as an episode has ended
+        self._state = self._restart(self._state, jnp.ones(self.env.worlds, bool))
+        return self._rows(jax.device_get(self._state.obs))
 
 
 def _faults(bad: np.ndarray) -> dict[str, Any]:
