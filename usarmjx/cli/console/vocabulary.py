@@ -24,7 +24,10 @@ KEYS: dict[str, tuple[str, ...]] = {
     "CAMERA": ("Rotation", "Order", "Zoom"),
     "GETGEO": ("Type", "Name"),
     "GETCONF": ("Type", "Name"),
-    "CONTROL": ("Type", "Name", "ClassName", "Location", "Rotation"),
+    "CONTROL": (
+        *("Type", "Name", "ClassName", "Location", "Rotation", "Start"),
+        *("Scale", "Physics", "Permanent", "MinPos", "MaxPos"),
+    ),
 }
 """The keys of each command; those of MULTIDRIVE are a robot's joints."""
 REPEATED_KEYS = {
