@@ -156,6 +156,11 @@ def test_a_sensor_that_cannot_be_told_is_left_out(world, caplog):
     with known(wild), serving(world) as (port, server):
         peer = Peer(port, "INIT {ClassName USARBot.Wild} {Name W}")
         peer.sta_times(1)
+        peer.say("DRIVE {Left 1.0} {Right -1.0}")  # at rest it has no error
+        for _ in range(1000):
+            if server.faults:
+                break
+            peer.sta_times(1)
         lines = [peer.line().split(b" {")[:3] for _ in range(40)]
         kinds = {part for line in lines for part in line if part.startswith(b"Type ")}
         assert {b"Type Sonar}", b"Type GroundTruth}", b"Type INS}"} <= kinds, "the other INS is told"

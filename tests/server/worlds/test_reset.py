@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
@@ -106,12 +107,21 @@ def batch():
     return Batch(scene, 2, engine="c", seed=4)
 
 
+def _push(shared, dof):
+    """Let a robot of world 1, which stands still, move by itself."""
+    engine, physics = shared.batch.engine, shared.state.physics
+    numbers = physics.integration.copy()
+    numbers[1, engine._parts[mujoco.mjtState.mjSTATE_QVEL].start + dof] = 0.5
+    shared.state = shared.state.replace(physics=physics._replace(integration=numbers))
+
+
 def test_of_a_batch_only_that_world_begins_again(batch):
     shared = SharedBatch(batch)
     world = BatchWorld(shared, 1)
     robot = world.spawn(P2DX, "R1", PLACE, LEVEL)
     start = np.array(world.state(robot).pos)
     world.update_command(robot, AHEAD)
+    _push(shared, batch.scene.groups[0].root_dofadr[1])
     steps(world, 50)
     world.prepare_reset()
     before = jax.tree.map(lambda x: np.array(x[0]), (batch.physics(shared.state), shared.state.worlds.groups))
