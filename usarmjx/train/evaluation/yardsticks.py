@@ -145,7 +145,8 @@ def with_training_view(source: PolicySource, task: TeamTask) -> TeamTask:
     """Return a task that shows what a policy saw in training: the planner's advice, a picture of maps."""
     shown = {name: text for name, text in source.overrides.items() if name in VIEWS and hasattr(task, name)}
     overrides, _ = task_settings(source.task, shown, ()) if shown else ({}, [])
-    return replace(task, **overrides) if any(getattr(task, name) != overrides[name] for name in overrides) else task
+    changes = {name: value for name, value in overrides.items() if getattr(task, name) != value}
+    return replace(task, **changes) if changes else task
 
 
 Team = tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]
