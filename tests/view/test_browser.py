@@ -20,6 +20,8 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.controls import ControlLock
 
 PATIENCE = 60.0  # s
+STALL = 12.0  # s, of a page
+OWN_FOLDERS = 2  # of who has the controls: of the run, and for a new robot
 CLASS = "Zerg"
 TAKE, LEAVE = "Take the controls", "Give the controls back"
 
@@ -83,6 +85,9 @@ def me(show, browser):
 @pytest.fixture(scope="module")
 def other(show, browser, me):
     """Somebody else, while the first one has the controls."""
+    if show.lock.holder is None:
+        me.click("button", TAKE)
+        me.wait_for_text(LEAVE)
     page = browser.open(show.url)
     page.wait_for_text("somebody has the controls")
     return page
@@ -179,6 +184,22 @@ def test_time_stands_still_goes_by_steps_and_on(show, me):
     me.click("button", "Reset")
     me.click("button", "Reset it")
     wait_until(lambda: int(show.worlds[0].one_world()[0].episode) == 1)
+
+
+def test_a_page_that_stands_still_takes_its_news_without_complaint(show, me):
+    (user,) = show.page.viewers.values()
+    folders = user.client.gui._container_handle_from_uuid
+    wait_until(lambda: len(folders) == 1 + OWN_FOLDERS)
+    show.controls.spawn(0, CLASS, "Brief", (1.0, -1.0, 0.0), 0.0)
+    me.choose("Robot", "Brief")
+    me.wait_for_text("from this page")
+    assert len(folders) > 1 + OWN_FOLDERS
+    me.js(f"setTimeout(() => {{ const end = Date.now() + {1000 * STALL}; while (Date.now() < end); }}, 0), 1")
+    show.controls.remove(0, show.robot("Brief").slot)
+    wait_until(lambda: show.names() == ["Own"])
+    me.wait_for_text("from this page", there=False)
+    wait_until(lambda: len(folders) == 1 + OWN_FOLDERS)
+    assert me.errors == []
 
 
 def test_a_second_person_only_watches(show, me, other):

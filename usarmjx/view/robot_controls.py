@@ -16,6 +16,7 @@ from usarmjx.models.types.robot import Part, RobotSpec
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.view.controls import BY_PAGE, StartPoseChoice, WorldControls, WorldStatus
 from usarmjx.view.drawing import Drawing, DrawnRobot, Frame
+from usarmjx.view.receipts import element_id, hidden_style
 
 HOLD_RATE = 10.0
 """Rate of the page's messages while a button is held down [Hz]."""
@@ -66,7 +67,7 @@ class DrivePad:
         for name, button in buttons.items():
             self._listen(name, button)
         # The pad's own buttons press viser's hidden ones, which have no other name in the page than this id.
-        gui.add_html(pad_html({name: _uuid(button) for name, button in buttons.items()}))
+        gui.add_html(pad_html({name: element_id(button) for name, button in buttons.items()}))
 
     def _listen(self, name: str, button: viser.GuiButtonHandle) -> None:
         # Viser runs coroutines in order; plain callbacks go to a thread pool, where a release may overtake.
@@ -101,10 +102,6 @@ class DrivePad:
         )
 
 
-def _uuid(button: viser.GuiButtonHandle) -> str:
-    return str(button._impl.uuid)  # pyright: ignore[reportPrivateUsage, reportUnknownMemberType]
-
-
 def pad_html(buttons: Mapping[str, str]) -> str:
     """Return the HTML of the pad.
 
@@ -112,13 +109,12 @@ def pad_html(buttons: Mapping[str, str]) -> str:
         buttons: Ids of viser's buttons in the page, by direction.
     """
     keys = {code: buttons[name] for name in buttons for code in DIRECTIONS[name][1]}
-    hide = ",".join(f'div:has(> [id="{button}"])' for button in buttons.values())
     arrows = "".join(map(partial(_arrow, buttons), buttons))
     letters = "W A S D" + (", R and F for up and down" if "up" in buttons else "")
     on_key = f"const k={_object(keys)}[event.code];if(k){{event.preventDefault();event.stopPropagation();"
     leave = f"for(const k of {_list(buttons.values())}){_release('k')}"
     return (
-        f"<style>{hide}{{display:none}}"
+        f"<style>{hidden_style(*buttons.values())}"
         f".drivepad{{grid-template-columns:repeat({4 if 'up' in buttons else 3},3.2em)}}"
         ".drivepad{display:grid;grid-auto-rows:3.2em;gap:.3em;"
         "justify-content:center;padding:.4em;margin:0 .6em .5em;border-radius:.5em;outline:1px solid #8888;"

@@ -2,7 +2,6 @@
 
 import html
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import viser
 
 from usarmjx.view.controls import ControlLock, WorldControls, WorldStatus
 from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.receipts import when_taken
 from usarmjx.view.robot_controls import RobotControls, RunControls, SpawnForm
 from usarmjx.view.robot_panel import RobotReadout
 
@@ -20,11 +20,6 @@ UPDATE_PERIOD = 0.25
 """Interval between two updates of numbers and plots [s]."""
 TOAST_PERIOD = 2.0
 """Least interval between two notifications of failures [s]."""
-DROP_DELAY = 10.0
-"""Time for which a removed folder is only hidden [s].
-
-The page may still receive its last values, and reports an error for elements that are gone.
-"""
 NO_ROBOT: str = "none"
 TAKE, LEAVE = "Take the controls", "Give the controls back"
 
@@ -117,7 +112,6 @@ class UserPanel:
         self._shown_world: tuple[int, str] | None = None
         self._names: dict[int, str] = {}
         self._folders: dict[str, viser.GuiFolderHandle] = {}
-        self._dropped: deque[tuple[float, viser.GuiFolderHandle]] = deque()
         self._run: RunControls | None = None
         self._robot: tuple[object, RobotReadout, RobotControls | None] | None = None
         self._take = client.gui.add_button(TAKE, order=order + 0.1, visible=False)
@@ -161,7 +155,6 @@ class UserPanel:
             followed: Slot of the robot that this user's view is attached to; None: none.
         """
         drawing = self._page.drawing
-        self._clear_away()
         if followed != self._followed:
             self._followed = followed
             if followed is not None and followed in self._names:
@@ -212,13 +205,9 @@ class UserPanel:
         folder = self._folders.pop(title, None)
         if folder is not None:
             folder.visible = False
-            self._dropped.append((time.monotonic() + DROP_DELAY, folder))
-
-    def _clear_away(self) -> None:
-        """Remove folders that have been hidden for long enough."""
-        now = time.monotonic()
-        while self._dropped and now >= self._dropped[0][0]:
-            self._dropped.popleft()[1].remove()
+            # Of messages that the browser takes together, it carries out removals before changes of values,
+            # and reports an error for those of elements that are gone.
+            when_taken(self._client.gui, self._page.post, folder.remove)
 
     def _show_run(self, drawing: Drawing) -> None:
         """Show the user's controls of the world."""

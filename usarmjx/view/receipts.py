@@ -1,0 +1,50 @@
+"""Receipts of a user's browser: it has taken all that it was sent."""
+
+from collections.abc import Callable
+
+import viser
+
+PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
+"""A picture of one transparent pixel."""
+
+
+def element_id(button: viser.GuiButtonHandle) -> str:
+    """Return the id of a button in the page."""
+    return str(button._impl.uuid)  # pyright: ignore[reportPrivateUsage, reportUnknownMemberType]
+
+
+def hidden_style(*buttons: str) -> str:
+    """Return the style that hides buttons which scripts press, by their ids."""
+    return ",".join(f'div:has(> [id="{button}"])' for button in buttons) + "{display:none}"
+
+
+def receipt_html(button: str) -> str:
+    """Return an invisible picture that presses a button, by its id, once the browser shows it."""
+    press = f"document.getElementById('{button}')?.click()"
+    return f'<style>{hidden_style(button)}</style><img hidden alt="" src="{PIXEL}" onload="{press}">'
+
+
+def when_taken(
+    gui: viser.GuiApi, post: Callable[[Callable[[], None]], None], act: Callable[[], None]
+) -> None:
+    """Run an action once a user's browser has taken all that it was sent before.
+
+    A browser that is slow, or behind another window, takes messages late.
+
+    Args:
+        gui: GUI of the user; no container is open.
+        post: Queues an action for the thread of the caller.
+        act: The action; it runs once, or never if the user leaves.
+    """
+    button = gui.add_button("taken")
+    parts: list[viser.GuiButtonHandle | viser.GuiHtmlHandle] = [button]
+
+    def done() -> None:
+        if parts:  # a panel that is folded and unfolded shows the picture again
+            for part in parts:
+                part.remove()
+            parts.clear()
+            act()
+
+    button.on_click(lambda _: post(done))
+    parts.append(gui.add_html(receipt_html(element_id(button))))
