@@ -48,8 +48,8 @@ YARD = ArenaSpec(
 )
 
 
-def _silent(kind: str) -> Mount:
-    """Return a sensor without random errors, which depend on the number of the control step."""
+def silent(kind: str) -> Mount:
+    """Return a sensor of the P2DX without random errors, which depend on the number of the control step."""
     known = manual_keys(SENSORS.get(kind).settings_class)
     wheel = kind == "Encoder"
     return Mount(
@@ -63,7 +63,7 @@ def _silent(kind: str) -> Mount:
 
 
 def _robot() -> RobotSpec:
-    made = replace(P2DX, cameras=(), sensors=tuple(map(_silent, KINDS)), battery_life=LIFE)
+    made = replace(P2DX, cameras=(), sensors=tuple(map(silent, KINDS)), battery_life=LIFE)
     response = find_response(P2DX)
     assert response is not None  # the package has it
     override_response(made, response)

@@ -6,15 +6,14 @@ import jax
 import numpy as np
 import pytest
 
+from benchmarks.days import silent
 from tests.arenas import FLAT
 from usarmjx.base.clock import Clock, cycle_share, intervals_in_steps, next_due
 from usarmjx.engines.planar.responses import find_response, override_response
-from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2DX
+from usarmjx.models.robots.pioneer import P2DX
 from usarmjx.models.types.arena import Tag, Victim
-from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import manual_keys
 from usarmjx.models.types.shapes import Shape
-from usarmjx.sensors.base import NOISE_SETTINGS, SENSORS
+from usarmjx.sensors.base import SENSORS
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
@@ -29,21 +28,6 @@ WARD = replace(
     victims=(Victim(name="Ada", at=(0.5, 1.2, 0.12), posture="sitting"),),
     tags=(Tag(at=(1.0, 0.0, 0.0)),),
 )
-
-
-def silent(kind):
-    """A sensor without random errors: these depend on the number of the control step."""
-    known = manual_keys(SENSORS.get(kind).settings_class)
-    quiet = {key: 0.0 for name, key in known.items() if name in NOISE_SETTINGS}
-    wheel = kind == "Encoder"
-    return Mount(
-        kind=kind,
-        name=kind,
-        parent=P2DX.wheels[0].name if wheel else "HARD",
-        at=(0.1, 0.0, -0.1),
-        direction=ENCODER_AXIS if wheel else (0.0, 0.0, 0.0),
-        options=tuple(quiet.items()),
-    )
 
 
 def robot(kinds):
