@@ -25,19 +25,18 @@ def receipt_html(button: str) -> str:
 
 
 def when_taken(
-    gui: viser.GuiApi, post: Callable[[Callable[[], None]], None], act: Callable[[], None]
+    client: viser.ClientHandle, post: Callable[[Callable[[], None]], None], act: Callable[[], None]
 ) -> None:
     """Run an action once a user's browser has taken all that it was sent before.
 
     A browser that is slow, or behind another window, takes messages late.
 
     Args:
-        gui: GUI of the user; no container is open.
+        client: Client of the user; no container of its GUI is open.
         post: Queues an action for the thread of the caller.
         act: The action; it runs once, or never if the user leaves.
     """
-    button = gui.add_button("taken")
-    parts: list[viser.GuiButtonHandle | viser.GuiHtmlHandle] = [button]
+    parts: list[viser.GuiButtonHandle | viser.GuiHtmlHandle] = []
 
     def done() -> None:
         if parts:  # a panel that is folded and unfolded shows the picture again
@@ -46,5 +45,7 @@ def when_taken(
             parts.clear()
             act()
 
-    button.on_click(lambda _: post(done))
-    parts.append(gui.add_html(receipt_html(element_id(button))))
+    with client.atomic():  # the button is never seen without its style
+        button = client.gui.add_button("taken")
+        button.on_click(lambda _: post(done))
+        parts += [button, client.gui.add_html(receipt_html(element_id(button)))]

@@ -207,7 +207,7 @@ class UserPanel:
             folder.visible = False
             # Of messages that the browser takes together, it carries out removals before changes of values,
             # and reports an error for those of elements that are gone.
-            when_taken(self._client.gui, self._page.post, folder.remove)
+            when_taken(self._client, self._page.post, folder.remove)
 
     def _show_run(self, drawing: Drawing) -> None:
         """Show the user's controls of the world."""
