@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.baselines import PHYSICS_NAMES, missing, physics_baselines
 from benchmarks.cases import BaselineOptions, TrainCase
+from benchmarks.report.tables import wait_texts
 from benchmarks.scenes import sizes
 from benchmarks.tools import append_record, record_header, spread_of
 from usarmjx.base.errors import UsageError, UsarmjxError
@@ -163,7 +164,7 @@ def record_run(
 
 def _waits_text(record: Mapping[str, Any]) -> str:
     """Return the shares of waits, and of the time in which the GPU was busy."""
-    shares = [f"{reason} {share:.0%}" for reason, share in record["waits"].items() if share >= 0.005]
+    shares = wait_texts(record["waits"])
     if record["gpu_busy"] is not None:
         shares.append(f"GPU busy {record['gpu_busy']:.0%}")
     return "".join(f", {share}" for share in shares)
@@ -197,8 +198,8 @@ def _gpu_samples(log: Path) -> Generator[list[float]]:
             if not log.exists() or not log.stat().st_size:
                 continue
             try:
-                told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
-                samples.append(float(told.stdout.split()[0]) / 100)
+                answer = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+                samples.append(float(answer.stdout.split()[0]) / 100)
             except (OSError, ValueError, IndexError, subprocess.SubprocessError):
                 return  # a machine without a GPU
 

@@ -351,8 +351,8 @@ class Account:
             print(f"FAILED  {what}\n{error}", flush=True)
             self.failed.append(what)
             return False
-        told = f": {said}" if isinstance(said, str) and said else ""
-        print(f"ok      {what} ({time.monotonic() - began:.0f} s){told}", flush=True)
+        result = f": {said}" if isinstance(said, str) and said else ""
+        print(f"ok      {what} ({time.monotonic() - began:.0f} s){result}", flush=True)
         return True
 
 

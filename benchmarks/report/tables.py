@@ -211,6 +211,11 @@ def train_table(records: Sequence[BenchRecord]) -> str:
     return records_table(records, "train", head, rows)
 
 
+def wait_texts(waits: Mapping[str, float]) -> list[str]:
+    """Return the shares of a training's time that the host waited, by reason; none that rounds to 0 %."""
+    return [f"{reason} {share:.0%}" for reason, share in waits.items() if share >= 0.005]
+
+
 def _training_rates(data: Mapping[str, Any]) -> list[str]:
     """Return the mean and the median rate, the host's waits, and the GPU's utilisation.
 
@@ -218,7 +223,7 @@ def _training_rates(data: Mapping[str, Any]) -> list[str]:
     """
     if "median_agent_steps_per_s" not in data:
         return ["-", number(data["agent_steps_per_s"]), "-", "-"]
-    waits = ", ".join(f"{reason} {share:.0%}" for reason, share in data["waits"].items() if share >= 0.005)
+    waits = ", ".join(wait_texts(data["waits"]))
     busy = "-" if data["gpu_busy"] is None else f"{data['gpu_busy']:.0%}"
     mean, middle = data["agent_steps_per_s"], data["median_agent_steps_per_s"]
     return [number(mean), number(middle), waits or "-", busy]
