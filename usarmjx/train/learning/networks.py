@@ -18,6 +18,7 @@ from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.layout import ObservationLayout
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.choices import ChoiceDistribution, mask_logits
+from usarmjx.train.learning.layers import dense, param, with_team_terms
 from usarmjx.train.learning.set_network import SetNetwork, shared_scale
 from usarmjx.train.learning.statistics import normalise
 
@@ -167,7 +168,6 @@ Params: TypeAlias = Any
 
 MIN_STD = 0.01
 """Least deviation of an action before it is squashed."""
-ROOT_TWO = 2.0**0.5
 POLICY_HEAD_SCALE = 0.01
 """Scale of the policy's last layer at the start: the first actions are about 0, with a deviation of 0.7."""
 
@@ -201,16 +201,10 @@ class Network(nn.Module):
             carry: That before the first step (worlds, robots, memory).
             is_first: Whether the carry is reset before the step (steps, worlds).
         """
-        x = nn.Dense(self.layers[0], kernel_init=nn.initializers.orthogonal(ROOT_TWO), name="layer_0")(seen)
-        if shared is not None and shared.shape[-1]:
-            # The same product for all robots of a world is computed once.
-            x = x + nn.Dense(self.layers[0], use_bias=False, name="shared")(shared)[..., None, :]
-        if self.robots > 1:
-            x = x + _param(self, "robot", nn.initializers.zeros, (self.robots, self.layers[0]))
-        x = nn.elu(x)
+        x, common = dense(self.layers[0], "layer_0")(seen), nn.Dense(self.layers[0], False, name="shared")
+        x = nn.elu(with_team_terms(self, x, shared, self.robots, common))
         for i, width in enumerate(self.layers[1:], start=1):
-            init = nn.initializers.orthogonal(ROOT_TWO)
-            x = nn.elu(nn.Dense(width, kernel_init=init, name=f"layer_{i}")(x))
+            x = nn.elu(dense(width, f"layer_{i}")(x))
         if self.memory:
             x, carry = self._recur(x, carry, is_first)
         init = nn.initializers.orthogonal(self.scale)
@@ -219,14 +213,10 @@ class Network(nn.Module):
     def _recur(self, x: jax.Array, carry: jax.Array, is_first: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Run the GRU: only the part that needs its own past is done step by step."""
         gates = nn.Dense(3 * self.memory, name="gates")(x)
-        weights = _param(self, "recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
-        bias = _param(self, "recurrent_bias", nn.initializers.zeros, (self.memory,))
+        weights = param(self, "recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
+        bias = param(self, "recurrent_bias", nn.initializers.zeros, (self.memory,))
         x = recur(gates, weights, bias, carry, is_first)
         return x, x[-1]
-
-
-def _param(module: Any, name: str, init: Any, shape: tuple[int, ...]) -> jax.Array:  # noqa: ANN401
-    return module.param(name, init, shape)  # which flax leaves without types
 
 
 AnyNetwork: TypeAlias = Network | SetNetwork

@@ -5,7 +5,6 @@ same weights for any number of them.
 """
 
 import math
-from typing import Any
 
 import flax.linen as nn
 import jax
@@ -13,14 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.train.envs.layout import ObservationLayout, Span
-
-ROOT_TWO = 2.0**0.5
-HEADS = 4
-"""Heads of attention, of layers whose width they divide; else one."""
-FILTERS = (16, 32)
-"""Filters of the layers over a picture; each halves its sides."""
-MASKED = -1e9
-"""Score of attention to what is not there."""
+from usarmjx.train.learning.layers import ROOT_TWO, dense, param, with_team_terms
+from usarmjx.train.policies.set_forward import FILTERS, MASKED, heads_of
 
 
 class SetNetwork(nn.Module):
@@ -55,19 +48,16 @@ class SetNetwork(nn.Module):
         del is_first
         layout, width = self.layout, self.layers[0]
         others, choices = (_rows(seen, span) for span in layout.sets)
-        own = _dense(width, "own")(_rows(seen, layout.own_span)[..., 0, :])
-        if shared is not None and shared.shape[-1]:
-            own = own + _dense(width, "shared", bias=False)(shared)[..., None, :]
-        if self.robots > 1:
-            own = own + _param(self, "robot", nn.initializers.zeros, (self.robots, width))
+        own = dense(width, "own")(_rows(seen, layout.own_span)[..., 0, :])
+        own = with_team_terms(self, own, shared, self.robots, dense(width, "shared", bias=False))
         if self.sees:
-            own = own + _dense(width, "view", bias=False)(self._view(seen))
-        kinds = _param(self, "kinds", nn.initializers.normal(0.1), (max(layout.kinds) + 1, width))
-        choices = _dense(width, "choices")(choices) + kinds[np.array(layout.kinds)]
-        x = nn.elu(jnp.concatenate([own[..., None, :], _dense(width, "others")(others), choices], -2))
+            own = own + dense(width, "view", bias=False)(self._view(seen))
+        kinds = param(self, "kinds", nn.initializers.normal(0.1), (max(layout.kinds) + 1, width))
+        choices = dense(width, "choices")(choices) + kinds[np.array(layout.kinds)]
+        x = nn.elu(jnp.concatenate([own[..., None, :], dense(width, "others")(others), choices], -2))
         there = presence_of(layout, seen)
         for i, size in enumerate(self.layers[1:], start=1):
-            x = nn.elu(_dense(size, f"layer_{i}")(x) + self._gather(x, there, i, size))
+            x = nn.elu(dense(size, f"layer_{i}")(x) + self._gather(x, there, i, size))
         first = 1 + layout.others[0]
         init = nn.initializers.orthogonal(self.scale)
         head = nn.Dense(1 if self.chooses else self.outputs, kernel_init=init, name="head")
@@ -78,14 +68,14 @@ class SetNetwork(nn.Module):
         heads = heads_of(size)
 
         def split(name: str) -> jax.Array:
-            found = _dense(size, f"{name}_{i}", bias=False)(x).reshape(*x.shape[:-1], heads, -1)
+            found = dense(size, f"{name}_{i}", bias=False)(x).reshape(*x.shape[:-1], heads, -1)
             return jnp.swapaxes(found, -2, -3)
 
         query, key, value = split("query"), split("key"), split("value")  # (..., heads, tokens, n)
         scores = query @ jnp.swapaxes(key, -1, -2) / math.sqrt(size // heads)
         scores = jnp.where(there[..., None, None, :], scores, MASKED)
         found = jnp.swapaxes(jax.nn.softmax(scores) @ value, -2, -3)
-        common = _dense(size, f"common_{i}", bias=False)(x[..., :1, :])
+        common = dense(size, f"common_{i}", bias=False)(x[..., :1, :])
         return found.reshape(*x.shape[:-1], size) + common
 
     def _view(self, seen: jax.Array) -> jax.Array:
@@ -98,11 +88,6 @@ class SetNetwork(nn.Module):
             layer = nn.Conv(filters, (3, 3), 2, padding=((1, 1), (1, 1)), kernel_init=init, name=f"conv_{i}")
             x = nn.elu(layer(x))
         return x.reshape(*seen.shape[:-1], -1)
-
-
-def heads_of(width: int) -> int:
-    """Return the number of heads of attention of a width."""
-    return HEADS if width % HEADS == 0 else 1
 
 
 def presence_of(layout: ObservationLayout, seen: jax.Array) -> jax.Array:
@@ -132,11 +117,3 @@ def shared_scale(layout: ObservationLayout, mean: jax.Array, std: jax.Array) -> 
 def _rows(seen: jax.Array, span: Span) -> jax.Array:
     """Return the numbers of things (..., rows, numbers)."""
     return seen[..., span.first : span.end].reshape(*seen.shape[:-1], span.rows, span.numbers)
-
-
-def _dense(width: int, name: str, *, bias: bool = True) -> nn.Dense:
-    return nn.Dense(width, use_bias=bias, kernel_init=nn.initializers.orthogonal(ROOT_TWO), name=name)
-
-
-def _param(module: Any, name: str, init: Any, shape: tuple[int, ...]) -> jax.Array:  # noqa: ANN401
-    return module.param(name, init, shape)  # which flax leaves without types

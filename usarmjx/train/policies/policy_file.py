@@ -18,7 +18,7 @@ from usarmjx.base.files import atomic_write
 from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.base.settings.json_file import parse_json
 from usarmjx.train.envs.layout import ObservationLayout, layout_from_record, layout_record
-from usarmjx.train.policies.set_forward import KINDS, NumpyOperations, set_outputs, set_shapes
+from usarmjx.train.policies.set_forward import KINDS, NumpyOperations, elu, set_outputs, set_shapes
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.state import AgentGroup
@@ -176,11 +176,6 @@ def _sigmoid(x: Vector) -> Vector:
     return 0.5 * (1.0 + np.tanh(0.5 * x))
 
 
-def _elu(x: Vector) -> Vector:
-    # `where` computes both branches: expm1 of a large x would overflow.
-    return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
-
-
 def _dense(layer: ParamTree, x: Vector) -> Vector:
     return x @ layer["kernel"] + layer["bias"]
 
@@ -195,7 +190,7 @@ def forward(weights: ParamTree, layers: int, x: Vector, carry: Vector) -> tuple[
         carry: That before it (..., memory).
     """
     for i in range(layers):
-        x = _elu(_dense(weights[f"layer_{i}"], x))
+        x = elu(_dense(weights[f"layer_{i}"], x))
     if "gates" in weights:
         reset, update, new = np.split(_dense(weights["gates"], x), 3, axis=-1)
         own_reset, own_update, own_new = np.split(carry @ weights["recurrent"], 3, axis=-1)

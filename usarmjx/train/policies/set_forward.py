@@ -11,11 +11,27 @@ import numpy as np
 
 from usarmjx.train.envs.layout import ObservationLayout, Span
 
-HEADS, FILTERS, MASKED = 4, (16, 32), -1e9  # as in `set_network`
+HEADS = 4
+"""Heads of attention, of layers whose width they divide; else one."""
+FILTERS = (16, 32)
+"""Filters of the layers over a picture; each halves its sides."""
+MASKED = -1e9
+"""Score of attention to what is not there."""
 KINDS = ("mlp", "set", "cnn")
 """Kinds of networks, as `Config.network` has them."""
 
 Weights = Mapping[str, Any]
+
+
+def heads_of(width: int) -> int:
+    """Return the number of heads of attention of a width."""
+    return HEADS if width % HEADS == 0 else 1
+
+
+def elu(x: np.ndarray) -> np.ndarray:
+    """Return the exponential linear unit of each number."""
+    # `where` computes both branches: expm1 of a large x would overflow.
+    return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
 
 
 class Operations(Protocol):
@@ -122,7 +138,7 @@ def _hidden(ops: Operations, layout: ObservationLayout, x: Any, others: Any) -> 
 def _gathered(ops: Operations, weights: Weights, i: int, x: Any, hidden: Any) -> Any:  # noqa: ANN401
     query, key, value = (_dense(ops, weights[f"{name}_{i}"], x) for name in ("query", "key", "value"))
     width = weights[f"query_{i}"]["kernel"].shape[1]
-    heads = HEADS if width % HEADS == 0 else 1
+    heads = heads_of(width)
     each, found = width // heads, list[Any]()
     scale = ops.constant(np.eye(each) / math.sqrt(each))
     for head in range(heads):
@@ -168,7 +184,7 @@ class NumpyOperations:
 
     def elu(self, x: np.ndarray) -> np.ndarray:
         """See `Operations`."""
-        return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
+        return elu(x)
 
     def turned(self, x: np.ndarray) -> np.ndarray:
         """See `Operations`."""
