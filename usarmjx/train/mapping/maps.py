@@ -229,6 +229,20 @@ def unpack(numbers: Array, shape: tuple[int, int]) -> jax.Array:
     return jnp.ravel(rows)[: shape[0] * shape[1]].reshape(shape).astype(jnp.uint8)
 
 
+def points_around(pose: Array, width: int, spacing: float) -> jax.Array:
+    """Return positions [m] of points around a robot (width, width, 2): first axis ahead, second to the left.
+
+    Args:
+        pose: x, y [m] and yaw [rad] (3,).
+        width: Points along a side.
+        spacing: Between two points [m].
+    """
+    line = (np.arange(width) - (width - 1) / 2) * spacing
+    ahead, aside = np.meshgrid(line, line, indexing="ij")
+    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
+    return jnp.stack([pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside], -1)
+
+
 def egocentric_map(grid: MapGrid, squares: Array, pose: Array, width: int, spacing: float) -> jax.Array:
     """Return a map as seen from a robot: x ahead, y to the left, the robot in the middle (width, width).
 
@@ -239,10 +253,7 @@ def egocentric_map(grid: MapGrid, squares: Array, pose: Array, width: int, spaci
         width: Points along a side.
         spacing: Between two points [m]; each shows the square that it lies in. Off the map all is wall.
     """
-    line = (np.arange(width) - (width - 1) / 2) * spacing
-    ahead, aside = np.meshgrid(line, line, indexing="ij")
-    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
-    position = jnp.stack([pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside], -1)
+    position = points_around(pose, width, spacing)
     steps = jnp.round((position - np.array(grid.low, np.float32)) / grid.cell).astype(jnp.int32)
     inside = ((steps >= 0) & (steps < np.array(grid.shape))).all(-1)
     there = grid.index(position)

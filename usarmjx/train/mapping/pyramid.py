@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.train.mapping.maps import FREE, WALL, MapGrid
+from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, points_around
 from usarmjx.train.mapping.wavefront import frontier
 
 LEVELS, WIDTH = 3, 16
@@ -26,7 +26,12 @@ def squares_of_point(level: int) -> int:
 
 
 def block_means(layers: Array, side: int) -> jax.Array:
-    """Return means over blocks of so many squares along a side, of maps (n, i, j); off the map all is 0."""
+    """Return the means of maps (n, i, j) over square blocks (n, blocks, blocks).
+
+    Args:
+        layers: The maps; squares beyond their edges count as 0.
+        side: Squares along a side of a block.
+    """
     rows, columns = layers.shape[1:]
     missing = ((0, 0), (0, -rows % side), (0, -columns % side))
     whole = jnp.pad(layers.astype(jnp.float32), missing)  # pyright: ignore[reportUnknownMemberType]
@@ -34,16 +39,8 @@ def block_means(layers: Array, side: int) -> jax.Array:
 
 
 def layers_of(squares: Array, news: Array) -> jax.Array:
-    """Return the layers of a map (i, j) that are pictured, of which some squares are news (n, i, j)."""
+    """Return the layers of a picture (n, i, j), from a map (i, j) and its squares that are news (i, j)."""
     return jnp.stack([squares == FREE, squares == WALL, frontier(squares), news])
-
-
-def point_positions(pose: Array, spacing: float) -> jax.Array:
-    """Return where the points of a scale are [m] (WIDTH, WIDTH, 2): first axis ahead, second to the left."""
-    line = (np.arange(WIDTH) - (WIDTH - 1) / 2) * spacing
-    ahead, aside = np.meshgrid(line, line, indexing="ij")
-    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
-    return jnp.stack([pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside], -1)
 
 
 def map_pyramid(
@@ -66,7 +63,7 @@ def map_pyramid(
         side = squares_of_point(level)
         spacing = side * grid.cell
         means = block_means(layers, side)
-        steps = (point_positions(pose, spacing) - np.array(grid.low, np.float32)) / grid.cell
+        steps = (points_around(pose, WIDTH, spacing) - np.array(grid.low, np.float32)) / grid.cell
         block = jnp.floor((steps + 0.5) / side).astype(jnp.int32)
         inside = ((block >= 0) & (block < np.array(means.shape[1:]))).all(-1)
         block = jnp.clip(block, 0, np.array(means.shape[1:]) - 1)
