@@ -136,10 +136,11 @@ class ExploreBase(TeamTask):
     building. The last 19 numbers say which goals are valid. With `observed=map` a picture of the robot's
     whole map at three scales stands before them, see `mapping.pyramid`.
 
-    Reward: what a step adds to the score, where contacts cost those that touch. What comes onto the base's
-    map goes to all in equal parts; but for `found` of it, which goes to those whose own scans show it,
-    whoever brought it. And `hint` times 100 times the share of the building that the robot was the first to
-    see, which is not part of the score.
+    Reward: the points that a step adds to the score. Robots that touch something pay for their contacts.
+    Points for squares that come onto the base's map are shared equally by all robots, except the share
+    `found`: it goes to the robots whose own scans show the square, whoever reported it. Besides, each robot
+    gets `hint` times 100 times the share of the building that it was the first to see; this is not part of
+    the score.
 
     Attributes:
         robot: Class of the robots, or their description.
@@ -408,13 +409,15 @@ class ExploreBase(TeamTask):
             picture = where_due(partial(self.picture, scene), due, before.picture, known, sent)
             memory = memory.replace(extra=memory.extra.replace(sent=sent, picture=picture))
         point = 100.0 * worth / squares
-        gain = point * (mapped & ~before.mapped).sum()
+        news = mapped & ~before.mapped
+        gain = point * news.sum()
         contacts = self.price * begun
         score = memory.score + jnp.where(memory.step == memory.skipped + 1, first, 0.0)
         memory = memory.replace(extra=memory.extra.replace(goals=goals), score=score + gain - contacts.sum())
-        common = (1 - self.found) * gain / len(self.agents(scene))
-        own = self.found * point * self.finders(view, memory, mapped & ~before.mapped)
-        reward = common + own + self.hint * 100.0 * credit - contacts
+        reward = (1 - self.found) * gain / len(self.agents(scene))
+        if self.found:
+            reward += self.found * point * self.finders(view, memory, news)
+        reward = reward + self.hint * 100.0 * credit - contacts
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
@@ -424,10 +427,11 @@ class ExploreBase(TeamTask):
         )
 
     def finders(self, view: TaskView, memory: TeamMemory, news: jax.Array) -> jax.Array:
-        """Return whose part of the squares that came to the base (i, j) is whose, of all slots (robots,).
+        """Return how many of the squares that came to the base (i, j) each slot has found (robots,).
 
-        A square belongs to those whose own scans show it to be free, else to all agents, in equal parts.
-        Those that carry it get no more: one that waited beside the base would carry what all others bring.
+        The robots whose own scans show a square to be free share it equally; if there are none, all agents
+        do. Robots that report it get nothing for that: else it would pay to wait beside the base and pass on
+        the maps of others.
         """
         agents = self.agents(view.scene)
         has = memory.belief.evidence[agents] < 0
