@@ -54,12 +54,12 @@ LARGEST = 10**6
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """Parts of an observation, in their order; behind them stands which choices there are.
+    """Parts of an observation, in their order; the mask of valid choices follows them.
 
     Attributes:
         own: Count of numbers about the robot itself.
-        others: Other robots, and numbers of each, of which the first says whether there is one.
-        choices: Choices, and numbers of each.
+        others: Number of other robots, and numbers of each; the first of these is 1 if there is one, else 0.
+        choices: Number of choices, and numbers of each.
         kinds: Kind of each choice, from 0: choices of a kind are alike.
         picture: Levels, width and channels of a picture of maps (levels, width, width, channels); zeros:
             there is none.
@@ -108,7 +108,7 @@ class ObservationLayout:
 
     @property
     def tokens(self) -> int:
-        """Things that a network of sets compares: the robot, the others and the choices."""
+        """Number of tokens of a network over sets: the robot, the others and the choices."""
         return 1 + self.others[0] + self.choices[0]
 
     @property
@@ -118,14 +118,14 @@ class ObservationLayout:
 
     @property
     def as_they_are(self) -> np.ndarray:
-        """Which numbers are neither shifted nor scaled: those that say whether, and the picture (size,)."""
+        """Which numbers are neither shifted nor scaled: marks of presence, picture and mask (size,)."""
         found = np.zeros(self.size, bool)
         found[self.picture_span.first :] = True
         found[self.others_span.first : self.others_span.end : max(self.others[1], 1)] = True
         return found
 
     def misfit(self, obs_size: int, choices: int) -> str:
-        """Return why it does not fit observations and choices of such sizes; empty: it does."""
+        """Return the conflict with the sizes of observations and choices, in words; empty: there is none."""
         if self.size != obs_size or self.choices[0] != choices or len(self.kinds) != choices:
             return (
                 f"the layout has {self.size} numbers and {self.choices[0]} choices, kinds of "
@@ -134,18 +134,18 @@ class ObservationLayout:
         return ""
 
 
+ROWS = {"others": 2, "choices": 2, "kinds": 0, "picture": 3}
+"""Lists in the record of a layout, and their lengths; 0: any length from 1."""
+
+
 def layout_record(layout: ObservationLayout) -> dict[str, Any]:
-    """Return what a file has of a layout, as JSON holds it."""
+    """Return a layout as a file holds it, in JSON."""
     rows = {name: [*getattr(layout, name)] for name in ROWS}
     return {"own": layout.own, **rows}
 
 
-ROWS = {"others": 2, "choices": 2, "kinds": 0, "picture": 3}
-"""Parts of a layout in a file that are lists, and how long they are; 0: any length."""
-
-
 def layout_from_record(held: Any) -> ObservationLayout:  # noqa: ANN401 - whatever a file has
-    """Return the layout that a file has.
+    """Return the layout of a record in a file.
 
     Raises:
         ValueError: It has none, or one with other numbers than whole ones from 0.
@@ -166,7 +166,7 @@ def layout_from_record(held: Any) -> ObservationLayout:  # noqa: ANN401 - whatev
 
 
 def _whole_numbers(name: str, value: Any, count: int) -> tuple[int, ...]:  # noqa: ANN401 - whatever a file has
-    """Return the whole numbers of a list; `count` of them, 0: any number but none."""
+    """Return the whole numbers of a list of `count` numbers; 0: any length from 1."""
     text, rows = str(value)[:40], cast(list[Any], value) if isinstance(value, list) else []
     whole = all(isinstance(one, int) and not isinstance(one, bool) and 0 <= one <= LARGEST for one in rows)
     if not rows or not whole or (count and len(rows) != count):

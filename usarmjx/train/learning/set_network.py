@@ -64,7 +64,7 @@ class SetNetwork(nn.Module):
         return (head(x[..., first:, :])[..., 0] if self.chooses else head(x[..., 0, :])), carry
 
     def _gather(self, x: jax.Array, there: jax.Array, i: int, size: int) -> jax.Array:
-        """Return what each thing learns of all, and of the robot itself (..., tokens, size)."""
+        """Return attention over all tokens plus a term of the robot's own one (..., tokens, size)."""
         heads = heads_of(size)
 
         def split(name: str) -> jax.Array:
@@ -79,7 +79,7 @@ class SetNetwork(nn.Module):
         return found.reshape(*x.shape[:-1], size) + common
 
     def _view(self, seen: jax.Array) -> jax.Array:
-        """Return what convolutions find in the picture (..., n)."""
+        """Return the features of the picture, by convolutions (..., n)."""
         span, (levels, width, channels) = self.layout.picture_span, self.layout.picture
         x = seen[..., span.first : span.end].reshape(-1, levels, width, width, channels)
         x = jnp.moveaxis(x, 1, 3).reshape(-1, width, width, levels * channels)
@@ -91,16 +91,16 @@ class SetNetwork(nn.Module):
 
 
 def presence_of(layout: ObservationLayout, seen: jax.Array) -> jax.Array:
-    """Return which tokens there are (..., tokens), of observations whose marks are as they are."""
+    """Return which tokens exist (..., tokens); marks of the observations are neither shifted nor scaled."""
     others = _rows(seen, layout.others_span)[..., 0] > 0.5
     choices = _rows(seen, layout.mask_span)[..., 0] > 0.5
     return jnp.concatenate([jnp.ones((*seen.shape[:-1], 1), bool), others, choices], -1)
 
 
 def shared_scale(layout: ObservationLayout, mean: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return a mean and a deviation of observations (size,) that things of a set have in common.
+    """Return a mean and a deviation of observations (size,), equal for all members of a set.
 
-    Numbers that say whether there is something, and pictures, stay as they are.
+    Marks of presence and pictures are neither shifted nor scaled.
     """
     mean, square = jnp.asarray(mean), jnp.asarray(std) ** 2
     for span in layout.sets:

@@ -35,14 +35,14 @@ def elu(x: np.ndarray) -> np.ndarray:
 
 
 class Operations(Protocol):
-    """Operations on arrays, or on names of a graph's arrays; the last axes are named by what they hold."""
+    """Operations on arrays, or on names of arrays in a graph."""
 
     def slice(self, x: Any, axis: int, first: int, end: int) -> Any:  # noqa: ANN401
-        """Return a part of an axis, counted from behind: -1 is the last."""
+        """Return the part from `first` to before `end` of an axis, which is negative: -1 is the last."""
         ...
 
     def shape(self, x: Any, replaced: int, tail: Sequence[int]) -> Any:  # noqa: ANN401
-        """Return an array whose last axes, so many of them, have other sizes."""
+        """Return an array with the last `replaced` axes reshaped to the sizes `tail`."""
         ...
 
     def product(self, x: Any, y: Any) -> Any:  # noqa: ANN401
@@ -74,7 +74,7 @@ class Operations(Protocol):
         ...
 
     def joined(self, parts: Sequence[Any], axis: int) -> Any:  # noqa: ANN401
-        """Return arrays one behind the other along an axis, counted from behind."""
+        """Return the concatenation along an axis, which is negative: -1 is the last."""
         ...
 
     def halved(self, x: Any, layer: Weights) -> Any:  # noqa: ANN401
@@ -128,7 +128,7 @@ def set_outputs(ops: Operations, weights: Weights, layers: int, layout: Observat
 
 
 def _hidden(ops: Operations, layout: ObservationLayout, x: Any, others: Any) -> Any:  # noqa: ANN401
-    """Return what is added to scores of attention to each token (rows, 1, tokens)."""
+    """Return the addend of attention scores for each token (rows, 1, tokens): 0, or `MASKED`."""
     mask = _part(ops, x, layout.mask_span)
     there = ops.shape(ops.slice(others, -1, 0, 1), 2, (layout.others[0],))
     own = ops.product(ops.slice(mask, -1, 0, 1), ops.constant([[0.0]]))  # never hidden

@@ -139,7 +139,7 @@ def goal_features(grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, ju
         belief: Their beliefs.
         goals: Their goals (robots, GOALS, ...).
         chosen: Where they go (robots,).
-        judged: What else they are judged by.
+        judged: Further inputs of their judgement.
     """
     robots, base = len(belief.pose), judged.base
     known = heard_of(belief, base, judged.time)
