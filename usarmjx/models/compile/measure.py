@@ -46,10 +46,10 @@ def with_measurements(robot: RobotSpec) -> RobotSpec:
 
 def bounding_box(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner of the box around a robot at rest [m] (3,), MuJoCo's axes."""
-    return bounding_corners(*_robot_at_rest(robot))
+    return bounding_corners(*robot_at_rest(robot))
 
 
-def _robot_at_rest(robot: RobotSpec) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
+def robot_at_rest(robot: RobotSpec) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
     """Return the model of a robot in an empty arena, its data at rest, and which geoms are its own (n,)."""
     spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
@@ -61,7 +61,7 @@ def _robot_at_rest(robot: RobotSpec) -> tuple[mujoco.MjModel, mujoco.MjData, np.
 
 def chassis_heights(robot: RobotSpec) -> np.ndarray:
     """Return how high the lowest point of each of the chassis' solids is above that of the robot [m] (n,)."""
-    model, data, own = _robot_at_rest(robot)
+    model, data, own = robot_at_rest(robot)
     lows = np.zeros(len(robot.chassis))
     for i in range(len(lows)):
         lows[i] = lowest_point(model, data, np.arange(model.ngeom) == model.geom(f"chassis/{i}").id)

@@ -3,14 +3,11 @@
 from collections.abc import Collection
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 
-from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import lowest_point
-from usarmjx.models.compile.physics import Physics
+from usarmjx.models.compile.measure import robot_at_rest
 from usarmjx.models.files.robot_drive import MAX_LIFT
-from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import Part, RobotSpec
 from usarmjx.models.types.shapes import SURFACES, Tyre
 
@@ -32,15 +29,11 @@ def with_firm_wheels(robot: RobotSpec, wheels: Collection[str]) -> RobotSpec:
     parts = [part for part in robot.parts if part.name in wheels and part.shapes]
     if not parts:
         return robot
-    spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
-    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data, own = robot_at_rest(robot)
     lows = {
         part.name: lowest_point(model, data, model.geom_bodyid == model.body(part.name).id) for part in parts
     }
-    ground = lowest_point(model, data, model.geom_bodyid >= 2)
+    ground = lowest_point(model, data, own)
     borne = [part for part in parts if lows[part.name] <= ground + MAX_LIFT]
     if not borne:
         return robot
@@ -56,13 +49,13 @@ def with_firm_wheels(robot: RobotSpec, wheels: Collection[str]) -> RobotSpec:
 
 
 def _depth(part: Part, acceleration: float) -> float:
-    """Return how deep a wheel sinks whose body the force on it would accelerate so [m]."""
+    """Return how deep a wheel sinks [m], from the acceleration of its free body by the same force [m/s2]."""
     surface = SURFACES[part.shapes[0].surface]
     impedance = surface.solimp[1]
     return (1.0 - impedance) * impedance * surface.solref[0] ** 2 * acceleration
 
 
 def _firmer(part: Part, share: float) -> Part:
-    """Return a wheel whose contact gives only a share of what it gave."""
+    """Return a wheel whose contact sinks to a share of its depth."""
     tyre = Tyre(min_slip=STOCK_SLIP * share)
     return replace(part, shapes=tuple(replace(shape, tyre=tyre) for shape in part.shapes))
