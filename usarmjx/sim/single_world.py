@@ -269,8 +269,8 @@ class SingleWorld:
         Raises:
             PlaceError: Something is there. Nothing has changed then.
         """
-        before, arena = self.scene.arena, self.scene.arena
-        arena = replace(arena, loose=(*arena.loose, thing))
+        before = self.scene.arena
+        arena = replace(before, loose=(*before.loose, thing))
 
         def remove(spec: mujoco.MjSpec) -> None:
             remove_loose(spec, thing.name)
@@ -280,7 +280,7 @@ class SingleWorld:
         is_free = deepest_contact(self.engine.model, self.engine.data, body) <= MAX_PENETRATION
         if not is_free:
             self.engine.edit(remove, remove, before)
-        self._use_arena(arena if is_free else before)
+        self._use_arena(arena if is_free else before)  # in both cases the model is another one
         if not is_free:
             x, y, z = thing.at
             raise PlaceError(f"no room for {thing.name} at {{}}", (x, y, z + arena.floor))

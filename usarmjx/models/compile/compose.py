@@ -151,7 +151,7 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     arena would give more than `MAX_BOX_PIECES`, the pieces are longer.
     """
     spec = spec.copy()
-    arena = spec.body("arena")
+    arena = spec.body(ARENA)
     if arena is None:
         return spec.compile()
     owned = [(body, geom) for body in (spec.worldbody, arena) for geom in body.geoms]
