@@ -32,10 +32,11 @@ class Explore(TeamTask):
     where the scanner truly is), and on a robot's map once that says that it is free, by its own scanner or by
     what others sent. A contact is counted when a robot comes as near as `touch` to an obstacle (`clearance`).
 
-    Reward: what a step adds to the final score, shared out: a square explored in step k of n adds 50 times
-    the `worth` of (n - k + 1) / n over the number of squares, of which `share` goes to all in equal parts and
-    the rest to the robot that saw it; what comes onto maps goes to all in equal parts; contacts cost those
-    that touch. All rewards of an episode add up to its score less what the first scans are worth.
+    Reward: the points that a step adds to the final score. A square explored in step k of n adds 50 times
+    the `worth` of (n - k + 1) / n over the number of squares: all robots share the part `share` equally, and
+    the robot that saw the square gets the rest. All robots share the points for maps equally. Robots that
+    touch something pay for their contacts. All rewards of an episode add up to its score less the points for
+    the first scans.
 
     Attributes:
         robot: Class of the robots, or their description.

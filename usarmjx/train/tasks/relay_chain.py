@@ -63,8 +63,8 @@ class RelayChain(TeamTask):
 
     Action: as `TeamTask`.
 
-    Reward: what a step adds to the score, where contacts cost those that touch and all else goes to all in
-    equal parts.
+    Reward: the points that a step adds to the score. Robots that touch something pay for their contacts; all
+    robots share the rest equally.
 
     Attributes:
         robot: Class of the robots, or their description.

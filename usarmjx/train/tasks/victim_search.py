@@ -160,9 +160,9 @@ class VictimSearch(TeamTask):
     Action: as `TeamTask`; robots that fly: forward speed, turn to the left. They keep their height. With
     `fence` they know the building's outline: beyond it all is wall for them, and they brake before it.
 
-    Reward: what a step adds to the final score, where contacts cost those that touch and all else goes to
-    all in equal parts; and `hint` times 100 times the share of the building that the robot was the first to
-    see, which is not part of the score.
+    Reward: the points that a step adds to the final score. Robots that touch something pay for their
+    contacts; all robots share the rest equally. Besides, each robot gets `hint` times 100 times the share of
+    the building that it was the first to see; this is not part of the score.
 
     Attributes:
         wheeled: Robots on wheels.
