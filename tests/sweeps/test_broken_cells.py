@@ -11,6 +11,7 @@ from usarmjx.sweeps.play import BatchWork, failure
 from usarmjx.sweeps.run import CellGroup, Prepared, SweepPlan, play_prepared
 from usarmjx.sweeps.spec import read_spec
 from usarmjx.sweeps.store import CellRecord
+from usarmjx.sweeps.workers import Workers
 
 CELLS, BAD = 100, 37
 
@@ -52,12 +53,11 @@ def test_a_batch_is_halved_until_the_broken_cell_is_alone(batches):
     assert len(batches) == 13, "the first one, and two for each of six halvings: 50, 25, 13, 6, 3, 1"
 
 
-@dataclass
-class Losing:
+@dataclass(frozen=True, kw_only=True)
+class Losing(Workers):
     """Workers that are lost with each batch that has the bad cell."""
 
     place: str = "processes"
-    count: int = 1
     lost: list = field(default_factory=list)
 
     def run(self, work, pieces):

@@ -138,6 +138,18 @@ def test_what_ray_starts_ends_with_the_process_that_started_it():
     assert end_with_this_process(children() - children()) is None
 
 
+def test_no_worker_is_counted_without_a_piece(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0,1,2")
+    sizes = {
+        (place, count, pieces): Workers(place=place, count=count).size(pieces)
+        for place, count, pieces in (
+            *(("here", None, 9), ("processes", None, 9), ("processes", None, 2), ("processes", 4, 9)),
+            *(("processes", 4, 1), ("processes", 4, 0), ("ray", 8, 2)),
+        )
+    }
+    assert list(sizes.values()) == [1, 3, 2, 4, 1, 1, 2]
+
+
 def test_gpus_are_those_that_may_be_used(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0,3")
     assert gpus() == 2

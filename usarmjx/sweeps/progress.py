@@ -27,7 +27,7 @@ class SweepProgress:
         self, cells: int, stream: TextIO | None = None, *, compilations: int = 0, workers: int = 1
     ) -> None:
         self.cells = cells
-        self._compilations, self._workers = compilations, max(workers, 1)
+        self._compilations, self._workers = compilations, workers
         self._status = None if stream is None else StatusLine(stream)
         self._begun = self._last = time.monotonic()
         self.done = self.failed = 0

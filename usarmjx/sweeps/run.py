@@ -20,7 +20,7 @@ from usarmjx.sweeps.resolve import signature_of
 from usarmjx.sweeps.spec import CellSettings, SweepSpec, as_text, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cells, write_sweep
 from usarmjx.sweeps.table import scores_of
-from usarmjx.sweeps.workers import Workers, gpus
+from usarmjx.sweeps.workers import Workers
 from usarmjx.train.learning.config import on_gpu
 from usarmjx.train.learning.metrics import find_wandb
 
@@ -395,7 +395,7 @@ def play_prepared(
         len(prepared.cells) + len(prepared.broken),
         stream,
         compilations=len({work.group for work in works}),
-        workers=1 if workers.place == "here" else workers.count or max(1, gpus()),
+        workers=workers.size(len(works)),
     )
     try:
         with _Keeper(folder, progress, sinks) as keeper:

@@ -42,6 +42,12 @@ class Workers:
         if self.count is not None and self.count < 1:
             raise UsageError(f"{self.count} workers, expected at least 1")
 
+    def size(self, pieces: int) -> int:
+        """Return the number of workers that share a number of pieces; on Ray, GPUs of this machine count."""
+        if self.place == "here":
+            return 1
+        return max(1, min(self.count or max(1, gpus()), pieces))
+
     def run(self, work: PieceWork, pieces: Sequence[Any]) -> Iterator[PieceOutcome]:
         """Do all pieces, and yield each as soon as it is done.
 
@@ -55,7 +61,7 @@ class Workers:
         if self.place == "ray":
             return work_on_ray(work, pieces, self.count, self.address)
         if self.place == "processes":
-            count = max(1, min(self.count or max(1, gpus()), len(pieces)))
+            count = self.size(len(pieces))
             return work_in_processes(work, pieces, count, _devices(count))
         return _here(work, pieces)
 
