@@ -124,13 +124,15 @@ def test_killall_clears_a_box_or_everything_but_what_is_permanent(client):
     for number, x in enumerate((1, 2, 3)):
         say(client, f"{CREATE} {{Name b{number}}} {{Location {x},3,-1}}")
     say(client, f"{CREATE} {{Name stays}} {{Location 2,4,-1}} {{Permanent True}}")
+    say(client, f"{CREATE} {{Name too}} {{Location 2,4.5,-1}} {{Permanent 1}}")
     say(client, "CONTROL {Type KillAll} {MinPos 1.5,2,-2} {MaxPos 2.5,5,0}")
-    assert list(objects(client)) == ["crate", "Bar", "b0", "b2", "stays"]
-    assert list(objects(client, " {ClassName USARPhysObj.WCCrate11401}")) == ["b0", "b2", "stays"]
-    assert list(objects(client, " {ClassName WCObject}")) == ["crate", "Bar", "b0", "b2", "stays"]
+    assert list(objects(client)) == ["crate", "Bar", "b0", "b2", "stays", "too"]
+    assert list(objects(client, " {ClassName USARPhysObj.WCCrate11401}")) == ["b0", "b2", "stays", "too"]
+    assert list(objects(client, " {ClassName WCObject}")) == ["crate", "Bar", "b0", "b2", "stays", "too"]
     say(client, "CONTROL {Type KillAll}")
-    assert list(objects(client)) == ["crate", "Bar", "stays"]
+    assert list(objects(client)) == ["crate", "Bar", "stays", "too"]
     say(client, "CONTROL {Type Kill} {Name stays}")
+    say(client, "CONTROL {Type Kill} {Name too}")
     assert list(objects(client)) == ["crate", "Bar"]
 
 

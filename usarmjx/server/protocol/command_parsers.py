@@ -309,7 +309,7 @@ def _control(message: Message) -> Command | Ignored:
         start=message.get("Start"),
         scale=_vector(message.get("Scale")),
         physics=message.get("Physics"),
-        permanent=message.get("Permanent").lower() == "true",
+        permanent=to_bool(message.get("Permanent")),
         corners=None if low is None or high is None else (low, high),
     )
 
