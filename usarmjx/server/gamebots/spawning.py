@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
+from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.protocol.commands import Init
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
@@ -22,7 +23,7 @@ def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
     Raises:
         UsageError: There is no room for it, no such start pose, or a robot of that name, case ignored.
     """
-    if init.name.lower() in _names(world):
+    if init.name.lower() in names_of_robots(world):
         raise UsageError(f"there is a robot {init.name} already")
     poses = _poses(world, init, spec)
     tile = world.free_tile(spec)
@@ -53,12 +54,25 @@ def _text(pos: Vec3) -> str:
 
 def free_name(world: ServedWorld, spec: RobotSpec) -> str:
     """Return a name for a robot of a class that no other has."""
-    taken = _names(world)
+    taken = names_of_robots(world)
     numbers = (f"{spec.name}_{i}" for i in range(len(taken) + 1))
     return next(name for name in numbers if name.lower() not in taken)
 
 
-def _names(world: ServedWorld) -> set[str]:
+def start_of(arena: ArenaSpec, tag: str) -> StartPose:
+    """Return the start pose of a tag, in any case.
+
+    Raises:
+        UsageError: There is none; the message lists the tags.
+    """
+    tags = {start.tag.lower(): start for start in arena.starts}
+    if tag.lower() not in tags:
+        known = ", ".join(start.tag for start in tags.values())
+        raise UsageError(f"no start pose {clip(tag)}; known: {known}")
+    return tags[tag.lower()]
+
+
+def names_of_robots(world: ServedWorld) -> set[str]:
     """Return the names of the robots in a world, in lower case."""
     return {robot.name.lower() for robot in world.robots.values()}
 
@@ -66,14 +80,11 @@ def _names(world: ServedWorld) -> set[str]:
 def _poses(world: ServedWorld, init: Init, spec: RobotSpec) -> list[tuple[Vec3, Vec3]]:
     """Return the poses that an INIT allows, the best first: the given one, or all start poses."""
     arena = world.arena
-    tags = {start.tag.lower(): start for start in arena.starts}
-    if init.start and init.start.lower() not in tags:
-        known = ", ".join(start.tag for start in tags.values())
-        raise UsageError(f"no start pose {clip(init.start)}; known: {known}")
+    named = start_of(arena, init.start) if init.start else None
     angles = flip_wire_angles(init.rotation) if init.rotation else None
-    if init.location is not None and not init.start:
+    if init.location is not None and named is None:
         return [(flip_wire_vector(init.location), angles or (0.0, 0.0, 0.0))]
-    if not tags:
+    if not arena.starts:
         raise UsageError(f"arena {arena.name} has no start poses: give a Location")
-    starts = [tags[init.start.lower()]] if init.start else world.starts_for(spec)
+    starts = world.starts_for(spec) if named is None else [named]
     return [((*start.at[:2], start_height(arena, start, spec)), angles or start.angles) for start in starts]

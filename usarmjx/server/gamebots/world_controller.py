@@ -19,6 +19,7 @@ from usarmjx.base.errors import PeerError
 from usarmjx.base.registry import is_name
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, angles_from_mat, quat_from_angles
+from usarmjx.server.gamebots.spawning import names_of_robots, start_of
 from usarmjx.server.gamebots.world_objects import (
     FREE_PHYSICS,
     MAX_OBJECTS,
@@ -56,7 +57,7 @@ class WorldController:
 
         Raises:
             PeerError: Nothing has that name, or there is no such type.
-            UsageError: The world cannot move it, or has no room there.
+            UsageError: The world cannot move it, has no room there, or has no such start pose.
         """
         match command.type.lower():
             case "getsta":
@@ -123,17 +124,14 @@ class WorldController:
         world, key = self._world, command.name.lower()
         if not is_name(command.name):
             raise PeerError("Create needs a Name of one word")
-        if key in (*self._names(), *(robot.name.lower() for robot in world.robots.values())):
+        if key in (*self._names(), *names_of_robots(world)):
             raise PeerError(f"{clip(command.name)} is here already")
         if len(world.created) >= MAX_OBJECTS:
             raise PeerError(f"there are {MAX_OBJECTS} objects already")
         x, y, z = flip_wire_vector(command.location or _ORIGIN)
         place, angles = (x, y, z - world.arena.floor), flip_wire_angles(command.rotation or _ORIGIN)
         if command.start:
-            starts = {start.tag.lower(): start for start in world.arena.starts}
-            if command.start.lower() not in starts:
-                raise PeerError(f"no start pose {clip(command.start)}")
-            start = starts[command.start.lower()]
+            start = start_of(world.arena, command.start)
             place, angles = start.at, start.angles
         world.check_position((*place[:2], place[2] + world.arena.floor))
         scale = command.scale if command.scale is not None and any(command.scale) else UNIT_SCALE

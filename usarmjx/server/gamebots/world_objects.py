@@ -55,7 +55,7 @@ FREE_PHYSICS = ("rigidbody", "falling", "ground")
 """Words of Physics, in lower case, with which an object falls; with others it hangs where it was put."""
 CARDBOARD = (0.72, 0.55, 0.36, 1.0)
 
-_BY_LOWER_CASE = {name.lower(): (name, size) for name, size in SIZES.items()}
+_BY_LOWER_CASE = {name.lower(): size for name, size in SIZES.items()}
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def make_object(class_name: str, name: str, at: Vec3, rotation: Vec3, scale: Vec
     if class_of(class_name) not in _BY_LOWER_CASE:
         known = ", ".join(SIZES)
         raise PeerError(f"no objects of class {clip(class_name)}; known: {known}")
-    _, lengths = _BY_LOWER_CASE[class_of(class_name)]
+    lengths = _BY_LOWER_CASE[class_of(class_name)]
     x, y, z = (length * factor for length, factor in zip(lengths, scale, strict=True))
     if not all(SMALLEST <= length <= LARGEST for length in (x, y, z)):
         raise PeerError(f"Scale makes a side shorter than {SMALLEST:g} m or longer than {LARGEST:g} m")
