@@ -17,7 +17,7 @@ from usarmjx.sensors.rfid import Rfid
 from usarmjx.server.gamebots.grippers import binary_order, grip, grippers_of
 from usarmjx.server.gamebots.reporter import Reporter, battery_left, first_report_time
 from usarmjx.server.gamebots.sensors import configuration, geometry, link_joint
-from usarmjx.server.gamebots.spawning import note_displacement, spawn_from_init
+from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.gamebots.victims import access_tag
 from usarmjx.server.gamebots.world_controller import CLASS_NAME, WorldController
 from usarmjx.server.protocol import commands as wire
@@ -184,11 +184,10 @@ class Client:
     def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
         """Spawn the robot of an INIT; return whether that worked. As in the original, nothing is answered."""
         try:
-            robot = spawn_from_init(self._world, init, spec)
+            robot = spawn_from_init(self._world, init, spec, flip_wire_vector)
         except UsageError as error:
             self.session.note_refusal(_in_wire_axes(error))
             return False
-        note_displacement(self._world, robot, flip_wire_vector)
         self.attach_robot(robot, robot.spawn_time)
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True

@@ -17,8 +17,16 @@ from usarmjx.sim.scene import start_height
 log = logging.getLogger(__name__)
 
 
-def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
-    """Spawn the robot of an INIT in a world.
+def spawn_from_init(
+    world: ServedWorld, init: Init, spec: RobotSpec, convert: Callable[[Vec3], Vec3] = lambda pos: pos
+) -> Robot:
+    """Spawn the robot of an INIT in a world; log its place if that is not the requested one.
+
+    Args:
+        world: The world.
+        init: The INIT.
+        spec: The robot.
+        convert: Converts a position to the axes of the log.
 
     Raises:
         UsageError: There is no room for it, no such start pose, or a robot of that name, case ignored.
@@ -29,23 +37,11 @@ def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
     tile = world.free_tile(spec)
     robot = world.spawn_at(spec, init.name or free_name(world, spec), poses)
     robot.tile = tile
-    return robot
-
-
-def note_displacement(
-    world: ServedWorld, robot: Robot, convert: Callable[[Vec3], Vec3] = lambda pos: pos
-) -> None:
-    """Log that a robot stands elsewhere than was asked, if it does.
-
-    Args:
-        world: The world.
-        robot: The robot.
-        convert: Converts a position to the axes of whoever asked.
-    """
     if robot.refused is not None:
         x, y, z = (float(value) for value in world.state(robot).pos)
         asked, there = _text(convert(robot.refused)), _text(convert((x, y, z)))
         log.info("%s: no room at %s: it stands at %s", robot.name, asked, there)
+    return robot
 
 
 def _text(pos: Vec3) -> str:

@@ -16,7 +16,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.server import BotServer
-from usarmjx.server.gamebots.spawning import note_displacement, spawn_from_init
+from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.protocol.commands import Init
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import clip
@@ -61,7 +61,6 @@ class RosRobots:
         """
         world = self._server.world
         robot = spawn_from_init(world, init, spec)
-        note_displacement(world, robot)
         own = Client(world, self._peer)
         own.attach_robot(robot, robot.spawn_time)
         self._server.guests.append(own)

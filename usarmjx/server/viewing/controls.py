@@ -18,7 +18,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.server import BotServer
-from usarmjx.server.gamebots.spawning import note_displacement, spawn_from_init
+from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
@@ -156,7 +156,6 @@ class PageRobots:
         origin = (*pos[:2], pos[2] + standing_height(spec))
         init = wire.Init(spec.name, name, flip_wire_vector(origin), flip_wire_angles((0.0, 0.0, yaw)))
         robot = spawn_from_init(self._world, init, spec)
-        note_displacement(self._world, robot)
         client = Client(self._world, "the page")
         client.attach_robot(robot, robot.spawn_time)
         self._server.guests.append(client)

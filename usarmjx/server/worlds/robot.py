@@ -111,7 +111,7 @@ class Robot:
         tile: Its tile of the MultiView, -1 without one.
         controller: Dialogue that drives it in place of its client; None: its client does.
         next_report: Time of its next report [s]; infinite without a client.
-        refused: Position that it was to have and that had no room for it [m]; None: it has it.
+        refused: Requested position, if there was no room for the robot [m]; else None.
     """
 
     slot: int
