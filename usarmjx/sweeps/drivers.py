@@ -52,6 +52,11 @@ def parse_policy(text: str) -> str | dict[str, str]:
     return {kind: rest} if colon and kind in PREFIXES and rest else text
 
 
+def policy_of_run(run: str, task: str) -> str | dict[str, str]:
+    """Return the setting `policy` of a method's run in a task, whose name replaces `{task}`."""
+    return parse_policy(run.replace("{task}", task))
+
+
 def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
     """Return kind and argument of a setting `policy`, and its further entries.
 

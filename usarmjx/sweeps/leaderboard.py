@@ -10,7 +10,7 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.settings.files import shown
-from usarmjx.sweeps.drivers import RANDOM, parse_policy, runs_code
+from usarmjx.sweeps.drivers import RANDOM, policy_of_run, runs_code
 from usarmjx.sweeps.play import BatchWork, play_batch
 from usarmjx.sweeps.report import aligned
 from usarmjx.sweeps.results import RunResult, read_results, run_digest
@@ -99,7 +99,7 @@ class ReplayedCell:
 def check_origin(result: RunResult, suite: BenchmarkSuite, run: str | None = None) -> None:
     """Refuse a result that does not fit its suite or the policies here, or that names code by itself.
 
-    Results come from other people; a function or a client that one names would run their code.
+    Other people write results: a function or a client in a result is their code.
 
     Args:
         result: The result.
@@ -114,11 +114,12 @@ def check_origin(result: RunResult, suite: BenchmarkSuite, run: str | None = Non
     tasks = {cell["task"] for cell in suite.spec(result.split, result.method, [RANDOM]).cells}
     for cell in result.cells:
         task = cell.settings["task"]
-        policy = parse_policy(result.run.replace("{task}", task))
         if task not in tasks:
             raise UsageError(f"{result.method}: suite {suite.name} has no task {shown(task)}")
-        if cell.settings["policy"] != policy:
+        if cell.settings["policy"] != policy_of_run(result.run, task):
             raise UsageError(f"{result.method}, {task}: is not played by the run {shown(result.run)}")
+    for task in dict.fromkeys(cell.settings["task"] for cell in result.cells):
+        policy = policy_of_run(result.run, task)
         if run != result.run and runs_code(policy):
             raise UsageError(
                 f"{result.method}: names the run {shown(result.run)}, whose code it does not run by itself; "

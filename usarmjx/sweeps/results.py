@@ -18,7 +18,7 @@ from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.settings import default_reader
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.contents import policy_digest
-from usarmjx.sweeps.drivers import find_driver, parse_policy, script_of
+from usarmjx.sweeps.drivers import find_driver, policy_of_run, script_of
 from usarmjx.sweeps.store import CellRecord
 
 FORMAT = 1
@@ -169,7 +169,7 @@ def run_digest(run: str, task: str) -> str:
     Raises:
         UsageError: There is no such policy.
     """
-    policy = parse_policy(run.replace("{task}", task))
+    policy = policy_of_run(run, task)
     driver = find_driver(policy, task)
     code = policy_digest(policy, driver.weights)
     if driver.source is None and script_of(policy) is None:

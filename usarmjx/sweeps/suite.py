@@ -15,7 +15,7 @@ from typing import Annotated, Any, TextIO
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import Setting, default_reader, read_file
-from usarmjx.sweeps.drivers import parse_policy
+from usarmjx.sweeps.drivers import policy_of_run
 from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.results import RunResult, provenance, run_digest
 from usarmjx.sweeps.run import run_sweep
@@ -82,7 +82,7 @@ class BenchmarkSuite:
         Args:
             split: `validation` or `test`.
             method: Name of the method.
-            runs: Its runs, see `drivers.parse_policy`; `{task}` in one stands for the task of each cell.
+            runs: Its runs, see `drivers.policy_of_run`.
             common: Settings that replace those of all cells, as `engine`.
 
         Raises:
@@ -109,8 +109,7 @@ class BenchmarkSuite:
 
 def _cell(settings: dict[str, Any], episodes: int) -> dict[str, Any]:
     """Return a cell whose buildings do not depend on how many of its episodes are played."""
-    text = str(settings["policy"]).replace("{task}", settings["task"])
-    whole = {**settings, "policy": parse_policy(text)}
+    whole = {**settings, "policy": policy_of_run(str(settings["policy"]), settings["task"])}
     levels = resolve({**whole, "policy": "random", "episodes": 1}).levels
     return {**whole, "arena.count": -(-episodes // levels)}
 
@@ -194,8 +193,4 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
 
 def records_of_run(records: Sequence[CellRecord], run: str) -> list[CellRecord]:
     """Return the cells that a run of a method played."""
-    return [
-        one
-        for one in records
-        if one.settings["policy"] == parse_policy(run.replace("{task}", one.settings["task"]))
-    ]
+    return [one for one in records if one.settings["policy"] == policy_of_run(run, one.settings["task"])]
