@@ -5,7 +5,8 @@ import pytest
 import yaml
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.sweeps.resolve import resolve, signature_of
+from usarmjx.sweeps import play
+from usarmjx.sweeps.resolve import base_task, resolve, signature_of
 from usarmjx.sweeps.spec import BUNDLED, find_spec, load_spec, read_spec
 from usarmjx.train.tasks.victim_search import VictimSearch
 
@@ -153,6 +154,17 @@ def test_data_share_a_signature_and_what_is_compiled_in_does_not():
     assert signature_of(resolved(**{"vary.latency": [0, 3]}), "c") != signature_of(
         resolved(**{"vary.latency": [0, 4]}), "c"
     )
+
+
+def test_cells_that_differ_in_other_settings_share_their_base(monkeypatch):
+    made = []
+    monkeypatch.setattr(play, "base_task", lambda settings: made.append(settings) or base_task(settings))
+    play.forget_resolved()
+    axes = {"physics.timestep": [0.002, 0.004], "seed": [0, 1], "fields.haste": [0.5, 0.6]}
+    found = cells(product=axes)
+    assert [play.resolved(cell).task for cell in found] == [resolve(cell).task for cell in found]
+    assert sorted(one["fields.haste"] for one in made) == [0.5, 0.6]
+    play.forget_resolved()
 
 
 @pytest.mark.parametrize("file", sorted(BUNDLED.glob("*.yaml")), ids=lambda file: file.stem)

@@ -12,7 +12,7 @@ from usarmjx.base.compilation import COMPILE_EVENT_PREFIX
 from usarmjx.base.errors import UsarmjxError, quoted
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.batch import CellEpisodes, GroupRunner
-from usarmjx.sweeps.resolve import BASE_SETTINGS, Resolved, base_task, resolve
+from usarmjx.sweeps.resolve import Resolved, base_settings, base_task, resolve
 from usarmjx.sweeps.spec import CellSettings
 from usarmjx.sweeps.store import CellRecord
 from usarmjx.train.envs.task import Task
@@ -195,8 +195,7 @@ def forget_resolved() -> None:
 
 @lru_cache(maxsize=4096)
 def _resolved(frozen: Any) -> Resolved:  # noqa: ANN401 - a _Frozen
-    own = {name: value for name, value in frozen.settings.items() if name.startswith(BASE_SETTINGS)}
-    return resolve(frozen.settings, _base(_Frozen(own)))
+    return resolve(frozen.settings, _base(_Frozen(base_settings(frozen.settings))))
 
 
 @lru_cache(maxsize=256)

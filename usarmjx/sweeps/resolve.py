@@ -110,8 +110,10 @@ def parts_of(settings: CellSettings, name: str) -> dict[str, Any]:
     return {key.removeprefix(start): value for key, value in settings.items() if key.startswith(start)}
 
 
-BASE_SETTINGS = ("task", "roster", "physics", f"{FIELDS}.")
-"""Settings that the base of a task depends on, by how they begin."""
+def base_settings(settings: CellSettings) -> CellSettings:
+    """Return the settings that `base_task` reads."""
+    named = ("task", "roster", "physics")
+    return {name: value for name, value in settings.items() if name in named or name.startswith(f"{FIELDS}.")}
 
 
 def base_task(settings: CellSettings) -> Task:
