@@ -175,7 +175,7 @@ def test_what_cannot_be_created_or_killed_changes_nothing(world, client, line, r
     assert objects(client).keys() == before.keys()
 
 
-def test_a_start_pose_is_a_place_and_there_are_only_so_many(world, client):
+def test_a_start_pose_is_a_place_and_the_number_of_objects_is_bounded(world, client):
     start = world.arena.starts[0]
     say(client, f"{CREATE} {{Name here}} {{Start {start.tag}}} {{Location 9,9,-9}}")
     _, location, _ = objects(client, " {Name here}")["here"]

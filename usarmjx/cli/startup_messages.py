@@ -65,7 +65,7 @@ class CompilationWatch:
             return
         with self._lock:
             if not self._busy() and (self._is_over or now - duration - self._last > GAP):
-                # What was traced while an end was reported counts from then on: the clock never goes back.
+                # The new interval begins after the last reported event, even if its tracing began earlier.
                 self._begun, self._next = max(now - duration, self._last), FIRST
             self._last, self._is_over = now, False
             self._compiling.discard(thread)

@@ -224,8 +224,8 @@ def _is_moved(before: EnvState, after: EnvState, world: int) -> bool:
 def _one_world(part: Any, like: Any, world: int) -> np.ndarray:  # noqa: ANN401 - arrays of NumPy or JAX
     """Return a world's part of an array, along the axis that a batch of one world has 1 of.
 
-    Engine `warp` has the contacts of all worlds in one list, shorter for one world: each step makes them
-    anew, so the list of the batch of one world serves.
+    Engine `warp` keeps the contacts of all worlds in one list, which is shorter for one world. Each step
+    writes the list anew, so the list of the batch of one world replaces it.
     """
     axes = [axis for axis, (a, b) in enumerate(zip(part.shape, like.shape, strict=True)) if a != b]
     if not axes:

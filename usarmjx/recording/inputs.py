@@ -143,12 +143,12 @@ class RobotPlaced:
 
 @dataclass(frozen=True, kw_only=True)
 class LooseAdded:
-    """Attempt to add a loose object to a `SINGLE` world; where something stood the attempt failed.
+    """Attempt to add a loose object to a `SINGLE` world; it fails if there is no room.
 
     Attributes:
         step: Control steps made by then.
         thing: The object.
-        held: Whether it hangs where it is.
+        held: Whether it hangs in its place.
     """
 
     step: int
@@ -158,7 +158,7 @@ class LooseAdded:
 
 @dataclass(frozen=True, kw_only=True)
 class LooseRemoved:
-    """Removal of the loose object of a number from a `SINGLE` world."""
+    """Removal of a loose object from a `SINGLE` world, by its number."""
 
     step: int
     number: int
@@ -166,7 +166,7 @@ class LooseRemoved:
 
 @dataclass(frozen=True, kw_only=True)
 class LoosePlaced:
-    """Pose set for the loose object of a number: position [m] (3,) and orientation (4,)."""
+    """Pose set for a loose object, by its number: position [m] (3,) and orientation (4,)."""
 
     step: int
     number: int

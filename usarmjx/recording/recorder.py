@@ -256,7 +256,7 @@ class WorldRecorder:
         self._put(LooseAdded(step=self.steps, thing=thing, held=held))
 
     def removed_loose(self, number: int) -> None:
-        """Record that a loose object is gone."""
+        """Record the removal of a loose object."""
         self._put(LooseRemoved(step=self.steps, number=number))
 
     def placed_loose(self, number: int, pos: np.ndarray, quat: np.ndarray) -> None:

@@ -88,7 +88,7 @@ class _ReplayedSingle:
                 try:
                     world.add(given.robot, given.name, given.poses)
                 except UsageError:
-                    return  # there was no room in the recorded world, either
+                    return  # the recorded world had no room, either
             case RobotRemoved():
                 world.remove(given.slot)
             case RobotRedescribed():
@@ -108,7 +108,7 @@ class _ReplayedSingle:
     def _change_loose(self, given: LooseAdded | LooseRemoved | LoosePlaced) -> None:
         match given:
             case LooseAdded():
-                with suppress(UsageError):  # there was no room in the recorded world, either
+                with suppress(UsageError):  # the recorded world had no room, either
                     self._world.add_loose(given.thing, held=given.held)
             case LooseRemoved():
                 self._world.remove_loose(given.number)

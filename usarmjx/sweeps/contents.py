@@ -36,11 +36,11 @@ KEY_POLICIES = {name: earlier for earlier, name in EARLIER_POLICIES.items()}
 
 @dataclass(frozen=True)
 class KnownDigests:
-    """Digests that were found before, for cells that read the same.
+    """Digests that earlier cells computed.
 
     Attributes:
         named: Digests of policies and named arenas, by their names.
-        robots: Teams and their digests. A team is slow to print or to hash, and fast to compare.
+        robots: Teams and their digests: comparing a team is faster than hashing it.
     """
 
     named: dict[str, str] = field(default_factory=dict[str, str])
@@ -55,7 +55,7 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: KnownDig
     Args:
         settings: The settings; the name of a method is no part of the key.
         cell: Their meaning; None: it is resolved.
-        known: Digests that were found before, and are now.
+        known: Digests of earlier cells; those of this cell are added.
 
     Raises:
         UsageError: See `resolve`.
@@ -73,7 +73,7 @@ def cell_contents(cell: Resolved, known: KnownDigests) -> dict[str, Any]:
 
     Args:
         cell: The cell.
-        known: Digests that were found before, and are now.
+        known: Digests of earlier cells; those of this cell are added.
 
     Raises:
         UsageError: An arena that cannot be read.

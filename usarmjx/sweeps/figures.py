@@ -42,7 +42,7 @@ from usarmjx.sweeps.table import scores_of
 
 THRESHOLDS = 101
 MOST_LETTERS, MOST_NUMBERS = 36, 5
-"""Letters of an axis' names, and its numbers, that have room beside each other."""
+"""Largest number of letters, and of numbers, that fit along an axis."""
 Panel = Callable[[Axes], None]
 """Draws a panel."""
 

@@ -97,7 +97,7 @@ class ReplayedCell:
 
 
 def check_origin(result: RunResult, suite: BenchmarkSuite, run: str | None = None) -> None:
-    """Refuse a result that does not fit its suite or the policies here, or that names code by itself.
+    """Refuse a result that does not fit its suite or its policies, or names code that the user has not named.
 
     Other people write results: a function or a client in a result is their code.
 

@@ -165,7 +165,7 @@ def _record(key: str, settings: CellSettings, engine: str, one: CellEpisodes, co
 
 
 def resolved(settings: CellSettings) -> Resolved:
-    """Return resolved settings; repeated ones come from a cache, whatever their seed.
+    """Return resolved settings; repeated ones come from a cache, for any seed.
 
     Raises:
         UsageError: See `resolve`.

@@ -1,4 +1,4 @@
-"""Progress of a sweep: cells that are done, and the time that is left, with compilations to come."""
+"""Progress of a sweep: finished cells, and an estimate of the remaining time with its compilations."""
 
 import time
 from typing import TextIO
@@ -11,13 +11,13 @@ TERMINAL_INTERVAL = 0.2
 
 
 class SweepProgress:
-    """Says how far a sweep is.
+    """Progress of a sweep, and its lines.
 
-    Cells take the time of those before, compilations apart. Each group that is still to be compiled takes the
-    mean time of the compilations before.
+    The estimate takes the mean time of the played cells for each cell, without compilations, and the mean
+    time of the past compilations for each group that is not compiled yet.
 
     Args:
-        cells: Number to be played.
+        cells: Number of cells to play.
         stream: Stream to write to; None: none.
         compilations: Number of groups of cells, each compiled once.
         workers: Number of workers that share the batches.
@@ -32,15 +32,15 @@ class SweepProgress:
         self._begun = self._last = time.monotonic()
         self.done = self.failed = 0
         self._compiled = dict[str, float]()
-        self._untimed = 0.0  # cells, and parts of them, that were played within the time of compilations
+        self._untimed = 0.0  # cells that took no time of their own: played while compiling, or broken
         self._compiling: tuple[str, float] | None = None
 
     def begin(self, group: str) -> None:
-        """Take note that a batch begins; the first one of a group compiles until its first step is made."""
+        """Note the begin of a batch; the first batch of a group compiles until the end of its first step."""
         self._compiling = None if group in self._compiled else (group, time.monotonic())
 
     def within(self, batch: int, share: float) -> None:
-        """Report that a share of a batch of cells is played."""
+        """Report the played share of a batch of cells."""
         played = batch * min(share, 1.0)
         if self._compiling is not None:
             group, since = self._compiling
@@ -54,12 +54,12 @@ class SweepProgress:
         Args:
             done: Cells that have a result.
             failed: Cells that have failed.
-            group: Their group; empty: they were not played.
+            group: Their group; empty: nothing played them.
             compiling: Time of compilation in a worker [s].
         """
         self.done, self.failed = self.done + done + failed, self.failed + failed
         if not group:
-            self._untimed += done + failed  # cells that stand for nothing take no time
+            self._untimed += done + failed  # broken cells take no time
         if compiling > 0.0:
             self._compiled.setdefault(group, compiling)
         self._say(float(self.done))

@@ -24,7 +24,7 @@ MOST_POINTS = 12
 """Cells of a front that are listed."""
 MOST_CHANGES = 40
 RESIDUE = 1e-9
-"""Share of its interval below which a number is a sum's rounding."""
+"""Share of its interval below which a value is a rounding error of a sum."""
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -47,7 +47,7 @@ def as_words(found: Estimate) -> str:
 
 
 def without_residue(found: Estimate) -> float:
-    """Return the value of a number with an interval; 0 if only its sum's rounding differs from 0."""
+    """Return the value of a number with an interval; 0 if it is a rounding error."""
     return 0.0 if abs(found.value) < RESIDUE * (found.high - found.low) else found.value
 
 

@@ -417,7 +417,7 @@ def play_prepared(
 
 
 class _Keeper:
-    """Writes the cells of a batch while the next batch is played; a cell counts once its file is there.
+    """Writer of the cells of a batch during the next batch; a cell counts when its file is complete.
 
     Args:
         folder: Folder of the sweep.
@@ -439,19 +439,19 @@ class _Keeper:
             if kind is None:
                 self.settle()
         finally:
-            self._writer.shutdown()  # what has been played is written, whatever ends the sweep
+            self._writer.shutdown()  # it completes the files of all played cells first
 
     def keep(self, records: Sequence[CellRecord], group: str) -> None:
         """Begin to write cells of a group.
 
         Raises:
-            WriteError: Cells before these could not be written.
+            WriteError: The cells before these cannot be written.
         """
         self.settle()
         self._pending = self._writer.submit(write_cells, self._folder, records), records, group
 
     def count(self) -> None:
-        """Count the cells whose files are there, without waiting for any; a failure waits for `settle`."""
+        """Count the cells if their files are complete; do not wait. `settle` raises a failure."""
         if self._pending is None or self._counted:
             return
         written, records, group = self._pending
@@ -462,7 +462,7 @@ class _Keeper:
             self._counted = True
 
     def settle(self) -> None:
-        """Wait for the files that are being written, count their cells, and pass them on.
+        """Wait for the files of the pending cells; count the cells and pass them to the sinks.
 
         Raises:
             WriteError: A cell could not be written.

@@ -27,7 +27,7 @@ MOST_CELL_BYTES = 64_000_000
 MOST_SWEEP_BYTES = 64_000_000
 """Largest `sweep.json`: a million keys."""
 WRITERS = 8
-"""Files of cells that are written at the same time."""
+"""Number of threads that write files of cells."""
 SWEEP_FILE, CELLS = "sweep.json", "cells"
 
 
@@ -154,10 +154,10 @@ def write_cell(folder: Path, record: CellRecord) -> None:
 
 
 def write_cells(folder: Path, records: Sequence[CellRecord]) -> None:
-    """Keep cells, some at the same time: a disk that confirms each file is waited for less often.
+    """Write cells, several at a time, because a disk takes long to confirm each file.
 
     Raises:
-        WriteError: One cannot be written; the others are.
+        WriteError: A cell cannot be written; the others are.
     """
     if len(records) < 2:
         for record in records:

@@ -1,4 +1,4 @@
-"""The later versions' world controller: a client without a robot that moves what is in the world.
+"""The later versions' world controller: a client without a robot that moves objects and robots.
 
     INIT {ClassName USARBot.WorldController} {Name W}
     CONTROL {Type GetSTA}                             STA {Name crate} {Size 0.06,0.06,-0.06} {Location ...} {Rotation ...}
@@ -8,8 +8,8 @@
     CONTROL {Type Kill} {Name box}, CONTROL {Type KillAll} {MinPos 0,0,-1} {MaxPos 3,3,0}
 
 Names are those of loose objects of the arena, then of robots. Keys, axes and signs are WorldController.uc's;
-the z of a size is negative there, as all lengths downward are. Only GetSTA is answered. What was created stays
-when its controller leaves, and Kill does not touch the arena's own objects.
+the z of a size is negative, because z points down on the wire. Only GetSTA has an answer. A created object
+stays when its controller leaves. Kill does not remove the arena's own objects.
 """  # noqa: E501 - an answer is one line
 
 import numpy as np
@@ -37,7 +37,7 @@ from usarmjx.server.worlds.wire_pose import wire_pose
 CLASS_NAME = "WorldController"
 """Class that INIT names."""
 ARENA_OBJECT = CreatedObject("", is_permanent=True)
-"""Stands for an object of the arena."""
+"""Entry of each object of the arena."""
 UNIT_SCALE: Vec3 = (1.0, 1.0, 1.0)
 _ORIGIN: Vec3 = (0.0, 0.0, 0.0)
 
@@ -146,7 +146,7 @@ class WorldController:
         del self._world.created[name.lower()]
 
     def _kill_all(self, corners: tuple[Vec3, Vec3] | None) -> None:
-        """Remove the created objects that are not permanent: all, or those between two corners."""
+        """Remove all created objects that are not permanent, or only those between two corners."""
         world, poses = self._world, self._world.loose_poses()
         ends = None if corners is None or corners[0] == corners[1] else corners
         for name, row in zip(self._names(), poses, strict=True):

@@ -2,8 +2,8 @@
 
     CONTROL {Type Create} {ClassName WCCrate11401} {Name box} {Location 1,2,-0.1} {Physics RigidBody}
 
-Sizes are those in the names of the classes' meshes and in `boundary` of their files (USARPhysObj); other
-classes have meshes whose sizes the public source does not tell.
+The sizes are those in the names of the classes' meshes and in `boundary` of their files (USARPhysObj). The
+public source does not state the sizes of the other classes.
 """
 
 from dataclasses import dataclass
@@ -44,15 +44,15 @@ SIZES: dict[str, Vec3] = {
     "WCPallet48x40": (1.220, 1.016, 0.100),
     "WCP3AT": (0.640, 0.512, 0.320),
 }
-"""Lengths of each class [m], origin in the middle. Of WCCrate109788, `boundary` has 0.248 for the height."""
+"""Lengths of each class [m], origin in the middle. `boundary` of WCCrate109788 has a height of 0.248."""
 MASS = 18.0
 """Mass of an object of any class, without a scale [kg]."""
 MAX_OBJECTS = 64
-"""Most created objects of a world."""
+"""Largest number of created objects in a world."""
 SMALLEST, LARGEST = 0.01, 20.0
-"""Least and greatest length of an object [m]."""
+"""Smallest and largest length of an object [m]."""
 FREE_PHYSICS = ("rigidbody", "falling", "ground")
-"""Words of Physics, in lower case, with which an object falls; with others it hangs where it was put."""
+"""Values of Physics, in lower case, with which an object falls; with others it hangs in its place."""
 CARDBOARD = (0.72, 0.55, 0.36, 1.0)
 
 _BY_LOWER_CASE = {name.lower(): size for name, size in SIZES.items()}
@@ -60,7 +60,7 @@ _BY_LOWER_CASE = {name.lower(): size for name, size in SIZES.items()}
 
 @dataclass(frozen=True)
 class CreatedObject:
-    """An object that was created, beside its body in the world.
+    """Class and permanence of a created object; its body is in the world.
 
     Attributes:
         class_name: Its class, in lower case.
@@ -71,7 +71,7 @@ class CreatedObject:
     is_permanent: bool = False
 
     def is_of(self, class_name: str) -> bool:
-        """Return whether it is of that class, given in lower case, or of one that extends it."""
+        """Return whether it is of a class, given in lower case, or of a class that extends that."""
         return class_name in ("", BASE_CLASS, self.class_name)
 
 

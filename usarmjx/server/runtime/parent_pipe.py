@@ -12,10 +12,10 @@ PARENT_PIPE = "USARMJX_PARENT_PIPE"
 
 
 class ParentPipe:
-    """The parent's side: a child that is started with it ends with this process, however that ends.
+    """The parent's side of a pipe: its child ends when this process ends, for any reason.
 
-    A context for the child's lifetime; the child ends at its end, too. On Windows, where no descriptors are
-    inherited, it has no effect.
+    The context is the child's lifetime: its exit ends the child. On Windows, where processes inherit no
+    descriptors, it has no effect.
 
     Attributes:
         settings: Part of the child's environment.
@@ -37,7 +37,7 @@ class ParentPipe:
         return self
 
     def started(self) -> None:
-        """Close the child's end in this process, once the child has been started."""
+        """Close the child's end in this process, after the start of the child."""
         if self._ends:
             os.close(self._ends.pop())
 
@@ -50,9 +50,9 @@ class ParentPipe:
 
 
 def end_with_parent() -> None:
-    """Let this process end as by SIGTERM when no process holds the other end of its pipe, if it has one.
+    """End this process as by SIGTERM when no process holds the other end of its pipe, if it has one.
 
-    Processes that this one starts do not see the pipe.
+    Its own child processes do not inherit the pipe.
     """
     pipe = os.environ.pop(PARENT_PIPE, None)
     if pipe is not None:

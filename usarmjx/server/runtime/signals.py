@@ -24,7 +24,7 @@ FLUSH_TIME = 0.2
 
 
 def heard_signals() -> tuple[signal.Signals, ...]:
-    """Return the signals that this process does not ignore, as it does SIGINT behind a shell's `&`."""
+    """Return the stop signals that this process does not ignore; a shell's `&` makes it ignore SIGINT."""
     return tuple(number for number in STOP_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN)
 
 
@@ -39,7 +39,7 @@ class StopSignals:
     the main thread.
 
     Args:
-        numbers: Which signals; others keep their handlers.
+        numbers: The signals; others keep their handlers.
 
     Attributes:
         number: The signal that came, 0 before.

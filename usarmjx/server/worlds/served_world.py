@@ -391,18 +391,18 @@ class ServedWorld(ABC):
 
         Args:
             thing: The object.
-            held: Whether it hangs where it is, and does not touch floor and walls.
+            held: Whether it hangs in its place and passes through floor and walls.
 
         Raises:
             UsageError: The world cannot do that, or there is no room.
         """
         del held
-        raise UsageError(f"no {thing.name}: only a single world of engine c takes new objects")
+        raise UsageError(f"no {thing.name}: only a single world of engine c adds objects")
 
     def remove_loose(self, index: int) -> None:
         """Remove a loose object of the arena, by its index; see `add_loose`."""
         name = self.scene.arena.loose[index].name
-        raise UsageError(f"{name} stays: only a single world of engine c lets objects go")
+        raise UsageError(f"{name} stays: only a single world of engine c removes objects")
 
     def door_angles(self) -> np.ndarray:
         """Return the angles of the arena's doors [rad] (doors,)."""
