@@ -17,11 +17,11 @@ from usarmjx.train.baselines.frontier import frontier_action, relay_policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.mapping.belief import SECTOR_COUNT
-from usarmjx.train.mapping.maps import FREE, MARK, WALL, reachable_squares
+from usarmjx.train.mapping.maps import FREE, MARK, WALL, reachable_squares, to_robot_frame
 from usarmjx.train.tasks.buildings import Buildings, sort_starts
 from usarmjx.train.tasks.explore import Explore, on_maps
 from usarmjx.train.tasks.relay_chain import RelayChain
-from usarmjx.train.tasks.team import coverage, to_robot_frame
+from usarmjx.train.tasks.team import coverage
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9), (1.8, 2.1))

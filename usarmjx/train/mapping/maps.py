@@ -229,6 +229,13 @@ def unpack(numbers: Array, shape: tuple[int, int]) -> jax.Array:
     return jnp.ravel(rows)[: shape[0] * shape[1]].reshape(shape).astype(jnp.uint8)
 
 
+def to_robot_frame(pose: Array, position: Array) -> jax.Array:
+    """Return positions [m] (..., 2) in the axes of robots at poses x, y [m], yaw [rad] (..., 3)."""
+    away = position - pose[..., :2]
+    cos, sin = jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])
+    return jnp.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], -1)
+
+
 def points_around(pose: Array, width: int, spacing: float) -> jax.Array:
     """Return positions [m] of points around a robot (width, width, 2): first axis ahead, second to the left.
 

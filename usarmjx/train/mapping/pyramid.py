@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, points_around
+from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, points_around, to_robot_frame
 from usarmjx.train.mapping.wavefront import frontier
 
 LEVELS, WIDTH = 3, 16
@@ -76,10 +76,7 @@ def map_pyramid(
 
 def _seen_others(pose: Array, others: Array, heard: Array, spacing: float) -> jax.Array:
     """Return how many others are at each point (WIDTH, WIDTH, 1)."""
-    away = others - pose[:2]
-    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
-    there = jnp.stack([cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]], -1)
-    place = jnp.floor(there / spacing + WIDTH / 2).astype(jnp.int32)
+    place = jnp.floor(to_robot_frame(pose, others) / spacing + WIDTH / 2).astype(jnp.int32)
     points = np.arange(WIDTH)
     rows, columns = (place[:, axis, None] == points for axis in range(2))
     counted = rows[:, :, None] & columns[:, None, :] & heard[:, None, None]

@@ -19,7 +19,7 @@ from usarmjx.train.envs.presence import Presence
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, update_base_contact
 from usarmjx.train.mapping.goals import WAY_SQUARES, Goals, find_goals, next_on_way, way_to, where_due
-from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
+from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid, to_robot_frame
 from usarmjx.train.mapping.planning import near_others
 from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH, map_pyramid
 from usarmjx.train.mapping.wavefront import frontier
@@ -57,7 +57,6 @@ from usarmjx.train.tasks.team import (
     TeamTask,
     coverage,
     station_slot,
-    to_robot_frame,
     true_pose_features,
 )
 

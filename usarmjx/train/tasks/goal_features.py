@@ -27,7 +27,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.train.mapping.belief import SCANNER_RANGE, SECTOR_COUNT, Belief
 from usarmjx.train.mapping.goals import Goals
-from usarmjx.train.mapping.maps import MapGrid
+from usarmjx.train.mapping.maps import MapGrid, to_robot_frame
 
 MATES, FRONTIERS, OBSERVED_MATES = 2, 16, 4
 """Other robots and frontiers among the goals, and other robots that are observed."""
@@ -93,13 +93,6 @@ def nearest_mates(belief: Belief, base: int, time: Array, count: int) -> Mates:
     return Mates(jnp.minimum(slot, robots - 1), jnp.isfinite(gap))
 
 
-def ahead_and_left(pose: jax.Array, position: jax.Array) -> jax.Array:
-    """Return positions [m] (robots, n, 2) in the axes of robots at poses (robots, 3)."""
-    away = position - pose[:, None, :2]
-    cos, sin = jnp.cos(pose[:, 2])[:, None], jnp.sin(pose[:, 2])[:, None]
-    return jnp.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], -1)
-
-
 def sector_features(belief: Belief) -> jax.Array:
     """Return the shortest beams of sectors, as observed (robots, SECTOR_COUNT)."""
     return jnp.minimum(belief.sector_ranges / SCANNER_RANGE, 1.0)
@@ -123,8 +116,8 @@ def mate_features(belief: Belief, base: int, time: Array, linked: jax.Array, unt
     home = jnp.linalg.norm(heads[..., 3:5] - belief.pose[base, :2], axis=-1) < HOME_RADIUS
     facts = [
         jnp.ones((robots, OBSERVED_MATES, 1)),
-        ahead_and_left(belief.pose, heads[..., :2]) / NEAR_SCALE,
-        ahead_and_left(belief.pose, heads[..., 3:5]) / NEAR_SCALE,
+        to_robot_frame(belief.pose[:, None], heads[..., :2]) / NEAR_SCALE,
+        to_robot_frame(belief.pose[:, None], heads[..., 3:5]) / NEAR_SCALE,
         jnp.stack([age, linked[rows, mates.slot], contact, home, untold[rows, mates.slot] / NEWS_SCALE], -1),
     ]
     seen = jnp.where(mates.valid[..., None], jnp.concatenate(facts, -1), 0.0)
@@ -143,7 +136,7 @@ def goal_features(grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, ju
     """
     robots, base = len(belief.pose), judged.base
     known = heard_of(belief, base, judged.time)
-    there = ahead_and_left(belief.pose, goals.position)
+    there = to_robot_frame(belief.pose[:, None], goals.position)
     mine = jnp.linalg.norm(there, axis=-1)
 
     def gaps(places: jax.Array, which: jax.Array) -> jax.Array:

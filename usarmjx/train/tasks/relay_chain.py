@@ -18,10 +18,11 @@ from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import Belief, other_slots, update_base_contact
+from usarmjx.train.mapping.maps import to_robot_frame
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, passable
 from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.equip import base_station, mapping_robot
-from usarmjx.train.tasks.team import POSITION_SCALE, TeamMemory, TeamTask, station_slot, to_robot_frame
+from usarmjx.train.tasks.team import POSITION_SCALE, TeamMemory, TeamTask, station_slot
 
 INWARD_COST = 3.0
 """Way that a square is worth for each square farther from the base [squares]."""

@@ -22,6 +22,7 @@ from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, Task, TaskView, TimeLimit
+from usarmjx.train.mapping.maps import to_robot_frame
 from usarmjx.train.tasks.soccer_field import (
     BEAMS,
     BLUE,
@@ -39,7 +40,7 @@ from usarmjx.train.tasks.soccer_field import (
     soccer_robot,
 )
 from usarmjx.train.tasks.soccer_play import soccer_action
-from usarmjx.train.tasks.team import reduce_to_sectors, to_robot_frame
+from usarmjx.train.tasks.team import reduce_to_sectors
 
 UPPER, LOWER = "IRScanner", "RangeScanner"
 """Types of the two scanners."""

@@ -49,6 +49,7 @@ from usarmjx.train.mapping.maps import (
     classify_scan,
     egocentric_map,
     grid_of,
+    to_robot_frame,
 )
 from usarmjx.train.mapping.planning import PlannerSettings
 from usarmjx.train.tasks.buildings import Buildings, arena_notes, note_of
@@ -160,13 +161,6 @@ class TeamMemory(struct.PyTreeNode, kw_only=True):
     score: jax.Array
     extra: Any = ()
     skipped: jax.Array | int = 0
-
-
-def to_robot_frame(pose: jax.Array, position: jax.Array) -> jax.Array:
-    """Return positions [m] (..., 2) in the axes of robots at poses x, y [m], yaw [rad] (..., 3)."""
-    away = position - pose[..., :2]
-    cos, sin = jnp.cos(pose[..., 2]), jnp.sin(pose[..., 2])
-    return jnp.stack([cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]], -1)
 
 
 def has_scanner(group: RobotGroup) -> bool:

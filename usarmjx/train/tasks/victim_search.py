@@ -21,7 +21,7 @@ from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import Belief, update_base_contact
-from usarmjx.train.mapping.maps import FREE, MARK, MapGrid
+from usarmjx.train.mapping.maps import FREE, MARK, MapGrid, to_robot_frame
 from usarmjx.train.mapping.planning import VISITED_FRONTIER_COST
 from usarmjx.train.mapping.wavefront import UNREACHABLE, frontier
 from usarmjx.train.tasks.attrition import arrival_actions, drawn_team, remaining_robots
@@ -33,7 +33,6 @@ from usarmjx.train.tasks.team import (
     TeamMemory,
     TeamTask,
     station_slot,
-    to_robot_frame,
 )
 
 ABSENT_VICTIM_DISTANCE = 1e5
