@@ -1,5 +1,6 @@
 """Robots of explore-v3: whose part of the news is whose, and what goals and mates are worth to them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -51,6 +52,11 @@ def test_squares_belong_to_those_that_saw_them():
     assert isinstance(TASK, ExploreBase)
     parts = np.asarray(TASK.finders(SimpleNamespace(scene=scene_of(3)), memory, news))
     assert parts.tolist() == pytest.approx([0.0, 1.5 + 1 / 3, 1.5 + 1 / 3, 1 / 3])
+    for found in (0.0, 0.25, 1.0):
+        task = replace(TASK, found=found)
+        shares = np.asarray(task.shares(SimpleNamespace(scene=scene_of(3)), memory, news))[1:]
+        assert shares.tolist() == pytest.approx(((1 - found) * 4 / 3 + found * parts[1:]).tolist()), found
+        assert shares.sum() == pytest.approx(4.0), "no square counts twice"
 
 
 def test_goals_say_what_is_news_there_and_how_much_time_is_left_after_them():

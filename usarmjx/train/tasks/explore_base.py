@@ -391,6 +391,13 @@ class ExploreBase(TeamTask):
         shared = jnp.where(_linked(view), free[:, None], extra.shared)
         return memory.replace(extra=extra.replace(reported=reported, shared=shared))
 
+    def shares(self, view: TaskView, memory: TeamMemory, news: jax.Array) -> jax.Array:
+        """Return how many squares that come onto the base's map (i, j) count for each slot (robots,)."""
+        equal = jnp.full(view.scene.num_robots, news.sum() / len(self.agents(view.scene)))
+        if not self.found:
+            return equal
+        return (1 - self.found) * equal + self.found * self.finders(view, memory, news)
+
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """Squares on the base's map, and contacts."""
         steps, scene, before = self.episode_steps, view.scene, memory.extra
@@ -413,10 +420,7 @@ class ExploreBase(TeamTask):
         contacts = self.price * begun
         score = memory.score + jnp.where(memory.step == memory.skipped + 1, first, 0.0)
         memory = memory.replace(extra=memory.extra.replace(goals=goals), score=score + gain - contacts.sum())
-        reward = (1 - self.found) * gain / len(self.agents(scene))
-        if self.found:
-            reward += self.found * point * self.finders(view, memory, news)
-        reward = reward + self.hint * 100.0 * credit - contacts
+        reward = point * self.shares(view, memory, news) + self.hint * 100.0 * credit - contacts
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
