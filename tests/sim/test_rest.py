@@ -2,14 +2,20 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from tests.arenas import FLAT
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.layout import index_robot
 from usarmjx.models.compile.parts import parts_of
+from usarmjx.models.compile.physics import Physics
+from usarmjx.models.compile.randomization import DomainRandomization, RandomizedValues, max_wheel_radius
+from usarmjx.models.compile.stance_table import stances_in
 from usarmjx.models.compile.standing import MAX_SINKING, MAX_TILT, START_GAP, stance_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, StartPose, Water
@@ -137,14 +143,14 @@ CLASSES = ("P2DX", "Hummer", "Talon", "AirRobot")
 """The largest tilt on wheels, springs, tracks with an arm, and a flyer."""
 
 
-def batch_of(names, engine, parked=False):
+def batch_of(names, engine, parked=False, vary=None):
     """One robot of each class, 6 m apart, with the sensors of `MOTION`: rays take long to compile."""
     starts = tuple(StartPose(tag=f"S{i}", at=(6.0 * i, 0.0, 0.188), yaw=0.4) for i in range(len(names)))
     arena = replace(FLAT, starts=starts, extent=((-3, 33), (-3, 3)))
     specs = [attentive(name) for name in names]
     feeling = [replace(spec, sensors=spec.sensors[-len(MOTION) :]) for spec in specs]
     roster = [RosterEntry(robot=spec, parked=parked) for spec in feeling]
-    return Batch(build_scene(arena, roster), worlds=1, engine=engine)
+    return Batch(build_scene(arena, roster, vary=vary), worlds=1, engine=engine)
 
 
 def stand_from_their_start_on(batch, state):
@@ -186,6 +192,110 @@ def test_robots_of_batches_stand_still_from_each_reset_on(engine, names):
     for _ in range(FIRST):
         state = batch.step(state)
     stand_from_their_start_on(batch, batch.reset_where(state, np.array([True])))
+
+
+VARIED = {
+    "small": DomainRandomization(wheel=(0.82, 0.86)),
+    "large": DomainRandomization(wheel=(1.14, 1.18), mass=(1.2, 1.25)),
+}
+
+
+@pytest.mark.parametrize("vary", VARIED)
+@pytest.mark.parametrize(
+    ("engine", "names"),
+    [
+        ("c", ("P2AT", "P2DX", "Hummer")),
+        ("planar", ("P2AT", "P2DX", "Hummer")),
+        pytest.param("jax", ("P2DX",), marks=pytest.mark.thorough),
+        pytest.param("warp", ("P2DX", "Hummer"), marks=pytest.mark.thorough),
+    ],
+)
+def test_robots_whose_wheels_and_mass_vary_stand_still_from_each_reset_on(engine, names, vary):
+    """On wheels of one size, on wheels and a caster, on springs."""
+    batch = batch_of(names, engine, vary=VARIED[vary])
+    state = stand_from_their_start_on(batch, batch.reset(0))
+    for group in range(len(names)):
+        ahead = dict.fromkeys(batch.scene.groups[group].robot.drive.keys, 1.0)
+        state = batch.drive(state, group, ahead)
+    for _ in range(FIRST):
+        state = batch.step(state)
+    stand_from_their_start_on(batch, batch.reset_where(state, np.array([True])))
+
+
+@pytest.mark.parametrize("engine", ["c", "planar"])
+@pytest.mark.parametrize("wheel", [0.8, 1.25])
+def test_on_wheels_of_another_size_axles_are_a_radius_above_the_floor(engine, wheel):
+    """In closed form: the axle of a wheel that sinks in as before is higher by the change of its radius."""
+    batch = batch_of(("P2AT",), engine, vary=DomainRandomization(wheel=(wheel, wheel)))
+    group = batch.scene.groups[0]
+    height = np.asarray(batch.physics(batch.reset(0)).qpos)[0, group.root_qposadr[0, 2]]
+    axles = [height - part.at[2] for part in group.robot.wheels]
+    sunk = kinematic_tree_of(group.robot).clearance - stance_of(group.robot).height
+    assert 0.0 < sunk < 5e-4
+    np.testing.assert_allclose(axles, wheel * group.robot.wheel_radius - sunk, rtol=0, atol=CREEP)
+
+
+def lone(spec, wheel, mass):
+    """A robot of a class on level ground, its wheels and chassis not those of the class."""
+    ground = new_spec(ArenaSpec(name="ground", starts=(), extent=((-2, 2), (-2, 2))), Physics())
+    add_robot(ground, spec, "", (0.0, 0.0, 0.0))
+    model = ground.compile()
+    index = index_robot(model, spec, "")
+    rolls = [body for body, part in zip(index.body_ids[1:], parts_of(spec), strict=True) if part.is_wheel]
+    wheels = np.isin(model.geom_bodyid, rolls)
+    model.geom_size[wheels, 0] *= wheel
+    model.geom_aabb[wheels, 3:5] *= wheel
+    model.geom_rbound[wheels] *= max(wheel, 1.0)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+    model.body_mass[index.body_ids[0]] *= mass
+    model.body_inertia[index.body_ids[0]] *= mass
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model, index
+
+
+ROLLING = [name for name, spec in ROBOTS if max_wheel_radius(spec) > 0.0 and not spec.drive.applies_wrench]
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(("wheel", "mass"), [(0.83, 1.0), (1.21, 1.1)])
+@pytest.mark.parametrize("name", ROLLING)
+def test_every_class_stands_on_wheels_of_another_size(name, wheel, mass):
+    """By C MuJoCo, between the entries of the table: it keeps its height and its tilt for a second."""
+    spec = ROBOTS.get(name)
+    vary = DomainRandomization(wheel=(0.8, 1.25), mass=(0.8, 1.25))
+    values = RandomizedValues(wheel=np.float32([wheel]), mass=np.float32([mass]))
+    with numpy_backend():
+        own = stances_in(vary, values, spec, [0])
+    model, index = lone(spec, wheel, mass)
+    data, root = mujoco.MjData(model), index.root_qposadr
+    data.qpos[root + 2 : root + 7] = stance_of(spec).height + own.lift[0], *own.tilt[0]
+    data.qpos[list(index.qposadr)] = own.joints[0]
+    data.ctrl[list(index.hold_actuator_ids)] = 1.0
+    before = data.qpos.copy()
+    for _ in range(200):
+        mujoco.mj_step(model, data)
+        assert np.abs(data.qpos - before)[root + 2 : root + 6].max() < 2 * CREEP
+
+
+def test_a_class_that_does_not_vary_stands_as_ever():
+    """And so does one of which nothing varies that moves a robot that stands."""
+    values = RandomizedValues(wheel=np.ones(1, np.float32), mass=np.ones(1, np.float32))
+    p2at = ROBOTS.get("P2AT")
+    assert stances_in(None, None, p2at, [0]) is None
+    assert stances_in(DomainRandomization(wheel=(0.8, 0.9), classes=("P2DX",)), values, p2at, [0]) is None
+    assert stances_in(DomainRandomization(torque=(0.8, 1.0)), values, p2at, [0]) is None
+
+
+def test_a_parked_robot_on_other_wheels_that_a_client_claims_stands_still():
+    """The P2DX tilts, the springs of the Hummer give way."""
+    world = BatchWorld(batch_of(("P2DX", "Hummer"), "c", parked=True, vary=VARIED["large"]), 0)
+    for group, start in zip(world.scene.groups, world.arena.starts, strict=True):
+        pos = (*start.at[:2], start_height(world.arena, start, group.robot))
+        world.spawn_at(group.robot, f"My{group.robot.name}", [(pos, (0.0, 0.0, start.yaw))])
+    before = world.one_world()[1].qpos
+    for _ in range(SECOND):
+        world.step()
+        np.testing.assert_allclose(world.one_world()[1].qpos, before, rtol=0, atol=CREEP)
 
 
 def test_a_parked_robot_that_a_client_claims_stands_still():

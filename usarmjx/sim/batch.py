@@ -16,7 +16,7 @@ from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import set_at
+from usarmjx.base.backend import numpy_backend, set_at
 from usarmjx.base.compilation import enable_cache_after_import
 from usarmjx.base.compile_notice import NOTICE
 from usarmjx.base.entry import jax_entry_points
@@ -28,6 +28,7 @@ from usarmjx.comms.mail import clear_inboxes
 from usarmjx.engines import PhysicsState, choose_engine, make_engine
 from usarmjx.engines.base import Engine
 from usarmjx.models.compile.arena_set import ArenaState
+from usarmjx.models.compile.stance_table import stances_in
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.sensors.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
@@ -518,6 +519,10 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
     pinned_dof[world, index.root_dofadr : index.root_dofadr + 6] = True
     if not bool(state.worlds.groups[group].active[world, member]):
         joints = list(index.qposadr)
-        pinned[world, joints], qpos[world, joints] = True, scene.parked_qpos[joints]
+        with numpy_backend():
+            varied = jax.tree.map(lambda x: np.asarray(x)[world], state.worlds.varied)
+            own = stances_in(scene.vary, varied, scene.groups[group].robot, [slot])
+        pinned[world, joints] = True
+        qpos[world, joints] = scene.parked_qpos[joints] if own is None else own.joints[0]
         pinned_dof[world, list(index.dofadr)] = True
     return state.replace(physics=batch.engine.set_qpos(state.physics, pinned, pinned_dof, qpos))

@@ -11,7 +11,8 @@ from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import empty_inboxes
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState
-from usarmjx.models.compile.randomization import max_wheel_radius, sample_values
+from usarmjx.models.compile.randomization import sample_values
+from usarmjx.models.compile.stance_table import stances_in
 from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.effecters import no_dropped_tags
 from usarmjx.sensors.cameras.mounts import cameras_of
@@ -181,12 +182,14 @@ def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
             slots = group.slots[stands]
             x, y, z, yaw = starts[order[np.array([active.index(slot) for slot in slots])]].T
             height = origin_height(scene.arena, z, group.robot)
-            if world.varied is not None and world.varied.wheel is not None:
-                # Larger wheels must not start in the floor.
-                height += xp.maximum(world.varied.wheel[slots] - 1.0, 0.0) * max_wheel_radius(group.robot)
+            tilt: Array = np.asarray(stance_of(group.robot).tilt, np.float32)
+            own = stances_in(scene.vary, world.varied, group.robot, slots)
+            if own is not None:
+                height, tilt = height + own.lift, own.tilt
+                rows.append((group.qposadr[stands], own.joints))
             none = xp.zeros_like(x)
             heading = xp.cos(yaw / 2), none, none, xp.sin(yaw / 2)
-            turned = quat_times(heading, parts(np.asarray(stance_of(group.robot).tilt, np.float32)))
+            turned = quat_times(heading, parts(tilt))
             root = xp.stack([x, y, height, *turned], -1)
             rows.append((group.root_qposadr[stands], xp.asarray(root, xp.float32)))
         if not stands.all():

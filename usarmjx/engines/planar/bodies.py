@@ -1,7 +1,7 @@
 """Bodies of engine `planar`: fixed, loose and hinged bodies, joint servos, and robots as rigid footprints."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -15,14 +15,16 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
 from usarmjx.base.compilation import materialize
 from usarmjx.base.errors import UnsupportedFeatureError
-from usarmjx.base.rotations import mat_from_quat, matmul, parts
+from usarmjx.base.rotations import mat_from_quat, matmul, parts, quat_times
 from usarmjx.engines.planar.drives import RollingGroup, rolling_groups
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.responses import check_robot
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.layout import RobotIndex
+from usarmjx.models.compile.randomization import DomainRandomization, RandomizedValues
 from usarmjx.models.compile.reachability import STEP_SHARE
+from usarmjx.models.compile.stance_table import stances_in
 from usarmjx.models.compile.standing import stance_of, standing_height
 from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
 
@@ -233,6 +235,7 @@ class PlanarRobots:
     """Robots of a model, by slot.
 
     Attributes:
+        specs: Their classes.
         root_qpos: Indices of the chassis in qpos (robots, 7).
         root_dof: Indices of the chassis in qvel (robots, 6).
         chassis: Body ids of the chassis (robots,).
@@ -250,6 +253,7 @@ class PlanarRobots:
         inverse_inertia: Its inverse (robots, 3, 3).
     """
 
+    specs: tuple[RobotSpec, ...]
     root_qpos: np.ndarray
     root_dof: np.ndarray
     chassis: np.ndarray
@@ -257,9 +261,9 @@ class PlanarRobots:
     rolling: tuple[RollingGroup, ...]
     half: np.ndarray
     offset: np.ndarray
-    clearance: np.ndarray
-    tilt: np.ndarray
-    height: np.ndarray
+    clearance: Array
+    tilt: Array
+    height: Array
     step: np.ndarray
     mass: np.ndarray
     centre: np.ndarray
@@ -270,6 +274,32 @@ class PlanarRobots:
     def count(self) -> int:
         """Number of robots."""
         return len(self.chassis)
+
+    def varied(self, vary: DomainRandomization | None, values: RandomizedValues | None) -> "PlanarRobots":
+        """Return the robots as they stand in one world; these, if all stand as their classes do.
+
+        Args:
+            vary: The ranges.
+            values: The world's values.
+        """
+        robots = self
+        for robot in dict.fromkeys(self.specs):
+            members = np.flatnonzero([spec is robot for spec in self.specs])
+            own = stances_in(vary, values, robot, members)
+            if own is not None:
+                lift = set_rows(jnp.zeros(self.count, jnp.float32), (members, own.lift))
+                robots = replace(
+                    robots,
+                    clearance=robots.clearance + lift,
+                    height=robots.height + lift,
+                    tilt=set_rows(jnp.asarray(robots.tilt), (members, own.tilt)),
+                )
+        return robots
+
+    def without_tilt(self, motion: "Motion") -> "Motion":
+        """Return the robots' motion with the orientations that they would have without their own tilt."""
+        w, x, y, z = parts(self.tilt)
+        return motion.replace(quat=jnp.stack(quat_times(parts(motion.quat), (w, -x, -y, -z)), -1))
 
     def motion(self, state: Any) -> Motion:  # noqa: ANN401 - a state with qpos and qvel
         """Return the motion of the robots of one world."""
@@ -337,6 +367,7 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     axes = turn.reshape(-1, 3, 3)
     inertia = axes @ (model.body_inertia[chassis][:, :, None] * axes.transpose(0, 2, 1))
     return PlanarRobots(
+        specs=tuple(robot for robot, _ in robots),
         root_qpos=np.array([index.root_qposadr + np.arange(7) for _, index in robots], int).reshape(-1, 7),
         root_dof=np.array([index.root_dofadr + np.arange(6) for _, index in robots], int).reshape(-1, 6),
         chassis=chassis,

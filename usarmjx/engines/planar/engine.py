@@ -147,7 +147,7 @@ class PlanarEngine(Engine[PlanarState]):
         kept, touched = separate_robots(proposed, neighbors)
         stopped_at = jax.vmap(self._stop)(before, after, kept, touched)
         ground = ground_below_robots(self._solids, neighbors, kept, proposed)
-        moved = jax.vmap(self._finish)(state, before, stopped_at, ground)
+        moved = jax.vmap(self._finish)(state, before, stopped_at, ground, inputs)
         return PlanarState(
             qpos=jnp.where(inputs.pinned, pinned.qpos, moved.qpos),
             qvel=jnp.where(inputs.pinned_dof, 0.0, moved.qvel),
@@ -157,11 +157,16 @@ class PlanarEngine(Engine[PlanarState]):
             neighbors=neighbors,
         )
 
+    def _robots_in(self, inputs: Inputs) -> PlanarRobots:
+        """Return the robots as they stand in one world."""
+        vary = None if self.varied_bodies is None else self.varied_bodies.vary
+        return self._robots.varied(vary, inputs.varied)
+
     def _aim(
         self, state: PhysicsState, inputs: Inputs, moves: Array
     ) -> tuple[PhysicsState, Motion, Motion, ProposedMotion]:
         """Return one world with its joints moved, its motion before, and the proposed motion."""
-        dt, robots = self.physics.period, self._robots
+        dt, robots = self.physics.period, self._robots_in(inputs)
         moved = move_joints(self._servos, state, inputs.ctrl, inputs.act, dt)
         turned, twist = roll(robots, state, moved, inputs, dt)
         before = robots.motion(turned)
@@ -172,7 +177,8 @@ class PlanarEngine(Engine[PlanarState]):
         after, stacked = resolve_stacking(robots, left, after)
         there = robots.footprints(after)
         there = there.replace(low=jnp.minimum(left.low, there.low), high=jnp.maximum(left.high, there.high))
-        limit, poses = ground_limits(robots, before), inputs.geom_poses
+        level = before if robots is self._robots else robots.without_tilt(before)
+        limit, poses = ground_limits(robots, level), inputs.geom_poses
         scene = self._solids.movable_set.placement(state.qpos, poses)
         return (
             turned,
@@ -184,9 +190,11 @@ class PlanarEngine(Engine[PlanarState]):
     def _stop(self, before: Motion, after: Motion, kept: Footprints, touched: Array) -> Motion:
         return apply_contacts(self._robots, before, after, kept, touched, self.physics.period)
 
-    def _finish(self, state: PhysicsState, before: Motion, after: Motion, ground: Array) -> PhysicsState:
+    def _finish(
+        self, state: PhysicsState, before: Motion, after: Motion, ground: Array, inputs: Inputs
+    ) -> PhysicsState:
         """Return one world with its robots on the ground."""
-        after = place_on_ground(self._robots, before, after, ground, self.physics.period)
+        after = place_on_ground(self._robots_in(inputs), before, after, ground, self.physics.period)
         return self._robots.write(state, after)
 
     def set_qpos(

@@ -210,9 +210,7 @@ def _tilt_change(one: Quaternion, other: Quaternion) -> tuple[Array, Array]:
 
 def _heading(robots: PlanarRobots, motion: Motion) -> Array:
     """Return the yaw of robots without their own tilt [rad] (robots,): with it, it creeps on a slope."""
-    w, x, y, z = parts(robots.tilt)
-    quat = jnp.stack(quat_times(parts(motion.quat), (w, -x, -y, -z)), -1)
-    return motion.replace(quat=quat).yaw
+    return robots.without_tilt(motion).yaw
 
 
 def _orientation_on_slope(yaw: Array, rise: Array, lean: Array, tilt: Quaternion) -> Quaternion:

@@ -28,6 +28,12 @@ HELD = 1e9
 """Inertia of a chassis that stays where it is [kg, kg m2]."""
 SINGLE = 1e-6
 """Resolution of heights in single precision [m]."""
+MAX_LEAN = 0.5
+"""A robot that leans farther on wheels of another size has fallen over: it starts level [rad]."""
+GROUND = ArenaSpec(name="ground", starts=(), extent=((-2, 2), (-2, 2)))
+"""Level ground on which robots settle."""
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+"""Orientation of a chassis that does not tilt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,22 +63,66 @@ def stance_of(robot: RobotSpec) -> Stance:
 
     Those that fly, dive or cannot stand are level, `START_GAP` above the ground; their servos give way, too.
     """
-    ground = ArenaSpec(name="ground", starts=(), extent=((-2, 2), (-2, 2)))
-    spec = new_spec(ground, Physics())
-    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
-    model = spec.compile()
-    index, clearance = index_robot(model, robot, ""), kinematic_tree_of(robot).clearance
+    (model, index), clearance = _on_ground(robot), kinematic_tree_of(robot).clearance
     if not robot.drive.applies_wrench:
-        rest = _settled(model, index, ground.floor + clearance)
-        height, tilt = float(rest[2]) - ground.floor, _without_yaw(rest[3:7])
+        rest = _settled(model, index, GROUND.floor + clearance)
+        height, tilt = float(rest[2]) - GROUND.floor, _without_yaw(rest[3:7])
         if abs(height - clearance) < MAX_SINKING and 2 * math.hypot(*tilt[1:3]) < MAX_TILT:
             joints = _without_wheels(robot, rest[7:])
-            low = _lowest_point(model, index, np.array([0.0, 0.0, height, *tilt]), joints)
+            solid = np.isin(model.geom_bodyid, index.body_ids)
+            low = _lowest_point(model, index, np.array([0.0, 0.0, height, *tilt]), joints, solid)
             return Stance(height, tilt, joints, math.ceil(max(0.0, -low) / SINGLE) * SINGLE)
     model.dof_armature[index.root_dofadr : index.root_dofadr + 6] = HELD  # its joints feel their weight
-    rest = _settled(model, index, ground.floor + clearance + START_GAP)
-    level = np.array([1.0, 0.0, 0.0, 0.0])
-    return Stance(clearance + START_GAP, level, _without_wheels(robot, rest[7:]), 0.0)
+    rest = _settled(model, index, GROUND.floor + clearance + START_GAP)
+    return Stance(clearance + START_GAP, LEVEL, _without_wheels(robot, rest[7:]), 0.0)
+
+
+@cache
+def varied_stance(robot: RobotSpec, wheel: float, mass: float) -> Stance:
+    """Return the pose in which robots of a class stand whose wheels and chassis are not those of the class.
+
+    Those that cannot stand, or fall over, start level, as far above the ground as on their own wheels.
+
+    Args:
+        robot: The class.
+        wheel: Factor on the radius of its wheels.
+        mass: Factor on the mass of its chassis.
+    """
+    usual, (model, index) = stance_of(robot), _on_ground(robot)
+    rolls = [body for body, part in zip(index.body_ids[1:], parts_of(robot), strict=True) if part.is_wheel]
+    resize_wheels(model, np.isin(model.geom_bodyid, rolls), wheel)
+    chassis = index.body_ids[0]
+    model.body_mass[chassis] *= mass
+    model.body_inertia[chassis] *= mass
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    touches = (model.geom_contype | model.geom_conaffinity) != 0
+    solid = touches & np.isin(model.geom_bodyid, index.body_ids)
+    root = np.array([0.0, 0.0, 0.0, *LEVEL])
+    low = _lowest_point(model, index, root, np.zeros(len(index.qposadr)), solid)
+    if usual.sinking > 0:
+        rest = _settled(model, index, GROUND.floor - low)
+        height, tilt = float(rest[2]) - GROUND.floor, _without_yaw(rest[3:7])
+        if 2 * math.hypot(*tilt[1:3]) < MAX_LEAN:
+            return Stance(height, tilt, _without_wheels(robot, rest[7:]), usual.sinking)
+    before = _lowest_point(*_on_ground(robot), root, np.zeros(len(index.qposadr)), solid)
+    return Stance(usual.height + before - low, usual.tilt, usual.joints, usual.sinking)
+
+
+def resize_wheels(model: mujoco.MjModel, geoms: np.ndarray, factor: float) -> None:
+    """Change the radius of a model's masked cylinders (ngeom,) by a factor."""
+    # The bounding volume hierarchy has the compiled sizes, so all geom pairs are tested.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+    model.geom_size[geoms, 0] *= factor
+    model.geom_aabb[geoms, 3:5] *= factor
+    model.geom_rbound[geoms] = np.linalg.norm(model.geom_size[geoms, :2], axis=-1)
+
+
+def _on_ground(robot: RobotSpec) -> tuple[mujoco.MjModel, RobotIndex]:
+    """Return the model of a robot alone on level ground, and its place in it."""
+    spec = new_spec(GROUND, Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    return model, index_robot(model, robot, "")
 
 
 def _settled(model: mujoco.MjModel, index: RobotIndex, height: float) -> np.ndarray:
@@ -100,13 +150,15 @@ def _without_wheels(robot: RobotSpec, joints: np.ndarray) -> np.ndarray:
     return np.where([part.is_wheel for part in parts_of(robot)], 0.0, joints)
 
 
-def _lowest_point(model: mujoco.MjModel, index: RobotIndex, root: np.ndarray, joints: np.ndarray) -> float:
-    """Return the height of a robot's lowest point in a pose (7,) with its joints (joints,) [m]."""
+def _lowest_point(
+    model: mujoco.MjModel, index: RobotIndex, root: np.ndarray, joints: np.ndarray, solid: np.ndarray
+) -> float:
+    """Return the height of the lowest point of masked geoms (ngeom,) in a pose (7,) with joints (n,) [m]."""
     data = mujoco.MjData(model)
     data.qpos[index.root_qposadr : index.root_qposadr + 7] = root
     data.qpos[list(index.qposadr)] = joints
     mujoco.mj_kinematics(model, data)
-    return lowest_point(model, data, np.isin(model.geom_bodyid, index.body_ids))
+    return lowest_point(model, data, solid)
 
 
 def standing_height(robot: RobotSpec) -> float:

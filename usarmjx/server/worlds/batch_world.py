@@ -20,6 +20,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.engines import PhysicsState
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.stance_table import stances_in
 from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import Opcode
@@ -208,6 +209,10 @@ class BatchWorld(ServedWorld):
         stance = stance_of(robot)
         touching = min(stance.height, kinematic_tree_of(robot).clearance)
         lifted = floor_correction(name, pos[2] - touching, self.arena.floor)
+        with numpy_backend():
+            own = stances_in(self.scene.vary, self.one_world()[0].varied, robot, [slot])
+        if own is not None:  # poses of clients are those of the class
+            stance, lifted = replace(stance, tilt=own.tilt[0]), lifted + float(own.lift[0])
         command = jax.tree.map(np.array, idle_command(robot))
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
         quat = stance.tilted(quat_from_angles(*angles))
