@@ -6,6 +6,8 @@ import viser
 
 PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
 """A picture of one transparent pixel."""
+PRESS_PERIOD = 300
+"""Interval at which a page presses the button of a receipt [ms]."""
 
 
 def element_id(button: viser.GuiButtonHandle) -> str:
@@ -19,8 +21,14 @@ def hidden_style(*buttons: str) -> str:
 
 
 def receipt_html(button: str) -> str:
-    """Return an invisible picture that presses a button, by its id, once the browser shows it."""
-    press = f"document.getElementById('{button}')?.click()"
+    """Return an invisible picture that presses a button, by its id, until that is gone.
+
+    Viser's page sends one message in 50 ms, and only the last of those that wait: a single press may be lost.
+    """
+    press = (
+        f"{{const press=()=>{{const b=document.getElementById('{button}');"
+        f"if(b){{b.click();setTimeout(press,{PRESS_PERIOD})}}}};press()}}"
+    )
     return f'<style>{hidden_style(button)}</style><img hidden alt="" src="{PIXEL}" onload="{press}">'
 
 

@@ -142,20 +142,27 @@ def _arrow(buttons: Mapping[str, str], name: str) -> str:
     return (
         f'<button tabindex="-1" aria-label="{name}" style="grid-area:{area}" '
         f'onpointerdown="{_quoted(press)}" onpointerup="{release}" onpointercancel="{release}" '
+        f'onlostpointercapture="{release}" '
         f'oncontextmenu="event.preventDefault()">{sign}</button>'
     )
 
 
 def _press(button: str) -> str:
     """Return the script that holds a button down."""
-    return f"document.getElementById({button})?.dispatchEvent({_pointer('pointerdown')});"
+    return (
+        f"{{const b=document.getElementById({button});"
+        f"if(b){{b.held=true;b.dispatchEvent({_pointer('pointerdown')});}}}}"
+    )
 
 
 def _release(button: str) -> str:
-    """Return the script that releases a button: its click reaches the server."""
+    """Return the script that releases a button, if it is held: its click reaches the server.
+
+    Viser's page sends one message in 50 ms, and only the last of those that wait: there must be no others.
+    """
     return (
         f"{{const b=document.getElementById({button});"
-        f"if(b){{b.dispatchEvent({_pointer('pointerup')});b.click();}}}}"
+        f"if(b?.held){{b.held=false;b.dispatchEvent({_pointer('pointerup')});b.click();}}}}"
     )
 
 
