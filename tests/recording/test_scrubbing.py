@@ -18,6 +18,7 @@ def source(mission):
     return RecordingSource(Recording(mission[0]))
 
 
+@pytest.mark.alone
 def test_somebody_goes_to_the_end(source, browser):  # noqa: F811
     page = ViewerPage(source, panels=[lambda page: Timeline(page, now=lambda: 0.0)])
     visitor = browser.open(f"http://127.0.0.1:{page.server.get_port()}/")
@@ -54,6 +55,7 @@ def test_robots_of_a_recording_are_told_of_as_those_that_run(source):
         page.close()
 
 
+@pytest.mark.alone
 def test_a_page_for_the_web_asks_nobody_for_anything(source, browser, tmp_path):  # noqa: F811
     write_html(source, tmp_path / "mission.html", period=0.3)
     visitor = browser.open((tmp_path / "mission.html").as_uri())

@@ -40,13 +40,20 @@ def find_browser():
 
 
 class Browser:
-    """A running browser."""
+    """A running browser.
+
+    Attributes:
+        pages: Its pages.
+    """
 
     def __init__(self, binary, folder):
+        self.pages = []
         self._process = subprocess.Popen(
             [
                 *(binary, "--headless=new", "--no-sandbox", "--remote-debugging-port=0"),
                 *("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"),
+                # A loaded processor compiles shaders for longer than the watchdog waits.
+                "--disable-gpu-watchdog",
                 *(f"--window-size={SIZE[0]},{SIZE[1]}", f"--user-data-dir={folder}", *QUIET, "about:blank"),
             ],
             stdout=subprocess.DEVNULL,
@@ -71,7 +78,8 @@ class Browser:
     def open(self, url):
         """A page in a window of its own."""
         target = self._session.call("Target.createTarget", url="about:blank", newWindow=True)["targetId"]
-        return Page(f"ws://127.0.0.1:{self._port}/devtools/page/{target}", url)
+        self.pages.append(Page(f"ws://127.0.0.1:{self._port}/devtools/page/{target}", url))
+        return self.pages[-1]
 
     def close(self):
         """End it, and all that it has started."""

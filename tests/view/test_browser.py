@@ -19,6 +19,8 @@ from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.controls import ControlLock
 
+pytestmark = pytest.mark.alone
+
 PATIENCE = 60.0  # s
 STALL = 12.0  # s, of a page
 OWN_FOLDERS = 2  # of who has the controls: of the run, and for a new robot
@@ -91,6 +93,16 @@ def other(show, browser, me):
     page = browser.open(show.url)
     page.wait_for_text("somebody has the controls")
     return page
+
+
+@pytest.fixture(autouse=True)
+def report(show, browser):
+    """Print what the server and the pages know, for a test that fails."""
+    yield
+    lock, viewers = show.lock.holder, {n: one.robot for n, one in show.page.viewers.items()}
+    print(f"holder {lock}, viewers {viewers}, errors {[page.errors for page in browser.pages]}")
+    for number in range(len(show.worlds)):
+        print(number, show.controls.status(number))
 
 
 def wait_until(done):

@@ -78,6 +78,7 @@ def meeting(browser):
     page.close()
 
 
+@pytest.mark.alone
 def test_texts_of_robots_that_meet_do_not_cover_each_other(meeting):
     page, window = meeting
     texts = len(PLACES) * (len(PLACES) + 1) // 2  # names and links

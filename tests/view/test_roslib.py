@@ -75,6 +75,7 @@ def pixels(page, file):
     return np.asarray(Image.open(io.BytesIO(file.read_bytes())).convert("RGB"), int)
 
 
+@pytest.mark.alone
 def test_a_page_of_roslib_asks_what_there_is_and_shows_a_robot_that_moves(browser, site, tmp_path):
     with serving_ros(DynamicWorld(FLAT)) as (port, _):
         page = browser.open(f"{site}#{port}")
