@@ -16,7 +16,6 @@ from usarmjx.models.roads.network import METRES_PER_FOOT
 from usarmjx.models.robots.cars import SNOWSTORM
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-PACE = 2.0  # simulated seconds per second: brief, and slow enough for commands to get through
 SPARE = (
     12 * METRES_PER_FOOT - SNOWSTORM.dimensions[1]
 ) / 2  # m on both sides of a car in the middle of its lane
@@ -96,7 +95,7 @@ def test_degrees_of_a_gps_message(text, value):
 @pytest.fixture(scope="module")
 def port():
     world = DynamicWorld(ARDA, Physics(), 5)
-    with serving(world, realtime_factor=PACE) as (port, _):
+    with serving(world) as (port, _):
         yield port
 
 

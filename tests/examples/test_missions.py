@@ -46,7 +46,7 @@ def test_a_server_that_does_not_start_is_one_line_and_exit_code_1(tmp_path):
 def test_a_short_mission_is_driven_and_misses_no_report():
     world = DynamicWorld(FLAT, Physics(), 1, max_robots=4)
     world.prepare(ROBOTS.get("P2AT"))
-    with serving(world, realtime_factor=1.0) as (port, _):  # faster, and commands come late on a busy machine
+    with serving(world) as (port, _):
         logs = mission.explore(port, 4.0, ("P2AT", "P2AT"))
     assert [log.name for log in logs] == ["P2AT_1", "P2AT_2"]
     for log in logs:

@@ -118,8 +118,10 @@ def test_the_bundled_client_says_the_token(locked, monkeypatch):
         assert camera.picture().width == 8
     with pytest.raises(ConnectionError):
         client().UsarsimClient(port=ports["robots"], token=TOKEN[:-1])
-    with pytest.raises(ConnectionError):
-        client().UsarsimClient(port=ports["robots"], timeout=PATIENCE)
+    with monkeypatch.context() as patch:
+        patch.setattr(gate, "AUTH_TIMEOUT", TIMEOUT)
+        with pytest.raises(ConnectionError):
+            client().UsarsimClient(port=ports["robots"], timeout=PATIENCE)
     monkeypatch.setenv("USARMJX_TOKEN", TOKEN)
     with client().UsarsimClient(port=ports["robots"]) as robot:
         assert robot.start_poses()

@@ -182,8 +182,8 @@ class Show:
 
 
 @contextlib.contextmanager
-def on_show(world, *, realtime_factor=1.0, **settings):
-    """A running server with its pictures, 96 x 72 and raw if nothing else is said.
+def on_show(world, *, realtime_factor=5.0, **settings):
+    """A running server with its pictures, 96 x 72 and raw if nothing else is said; faster than the clock.
 
     It waits for them as long as the tests do: no black ones in between.
     """

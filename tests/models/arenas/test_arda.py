@@ -45,8 +45,6 @@ CARS = ("SnowStorm", "Hummer", "Sedan", "Cooper")
 WIDEST = "Hummer"
 FILE_ATOL = 2e-3  # m: degrees in the files have 8 decimals, 1.1 mm north and 0.7 mm east
 LANES = [owner for owner, part in NETWORK.parts() if isinstance(part, Lane)]
-PACE = 5.0
-"""Times real time of served worlds: faster than that would only take cores from what compiles."""
 
 
 client = load("usarsim_client")
@@ -290,7 +288,7 @@ GPS = re.compile(
 @pytest.fixture(scope="module")
 def port():
     world = DynamicWorld(ARDA, Physics(), 3)
-    with serving(world, realtime_factor=PACE) as (port, _):
+    with serving(world) as (port, _):
         yield port
 
 

@@ -121,7 +121,7 @@ def test_quad_view_follows_set_and_a_jpeg_is_nearly_the_raw_picture(world):
 
 def test_a_trace_is_visible_and_stays(world):
     """Manual 9.4, 5.2.5.1. The camera looks ahead, so the robot drives backwards from its trace."""
-    with looking(world, "S2", realtime_factor=5.0) as (robot, viewer):
+    with looking(world, "S2") as (robot, viewer):
         assert shows(viewer.next(), "green") == 0
         robot.say("Trace {On true} {Color Green}")
         robot.say("DRIVE {Left -5} {Right -5}")
@@ -138,7 +138,7 @@ def test_a_trace_is_visible_and_stays(world):
 
 def test_reports_keep_coming_while_pictures_are_pulled(world):
     """0.2 s apart on an idle machine; this one may have other things to do."""
-    with looking(world, fps=10.0) as (robot, viewer):
+    with looking(world, fps=10.0, realtime_factor=1.0) as (robot, viewer):
         ended, gaps = threading.Event(), []
 
         def pull():
@@ -223,7 +223,7 @@ def test_who_waits_for_too_long_gets_a_black_picture_or_the_last_one(world, pain
 
 @pytest.mark.alone
 def test_the_frame_rate_is_held(world, painter):
-    with on_show(world, fps=5.0) as show:
+    with on_show(world, fps=5.0, realtime_factor=1.0) as show:
         show.robot("Cyclops", "R1")
         viewer = show.viewer()
         viewer.picture()

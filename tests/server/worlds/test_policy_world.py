@@ -354,7 +354,7 @@ def test_the_task_begins_anew_where_the_robots_are(world):
 def test_a_protocol_client_sees_reports_and_drives(world):
     client = load("usarsim_client")
     with (
-        serving(world, realtime_factor=2.0) as (port, _),
+        serving(world) as (port, _),
         client.UsarsimClient(port=port, timeout=PATIENCE) as robot,
     ):
         robot.init("USARBot.P2AT", "P2AT1", (0.0, 0.0, 0.0))
