@@ -17,7 +17,7 @@ BLIND = replace(SCOUT, name="Blind", sensors=(Mount(kind="GPS", name="Place"),))
 """Fewer sensors than a scout has."""
 FRAMES = 10
 """Control steps between two frames."""
-JOINS = 200
+JOINS = 20
 
 
 def spawn(world, robot, name, x=-1.0):
