@@ -25,8 +25,9 @@ from usarmjx.train.learning import checkpoint
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.learning.run_record import RunRecord, load_record
-from usarmjx.train.make import find_task, full_name
+from usarmjx.train.make import find_task
 from usarmjx.train.policies.sources import baseline, load_policy
+from usarmjx.train.task_names import full_name
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_task.py"
 HALF = """

@@ -109,9 +109,9 @@ class PolicyOptions:
         Raises:
             UsageError: None is named, or two are, or there is none of that name.
         """
-        from usarmjx.train.make import is_own
         from usarmjx.train.policies.sources import baseline as by_hand
         from usarmjx.train.policies.sources import load_policy, untrained
+        from usarmjx.train.task_names import is_own
 
         if self.agent is not None:
             if self.policy is not None or self.baseline is not None or self.task is None:

@@ -175,7 +175,7 @@ def _as_trained(task: str, source: "TrainedNetworks", asked: RunSettings) -> Run
 
     Physics is left out: a run may begin with networks of other physics.
     """
-    from usarmjx.train.make import same_class
+    from usarmjx.train.task_names import same_class
 
     same = same_class(task, source.record.task)
     fields = {

@@ -13,10 +13,11 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import random_policy
-from usarmjx.train.make import find_baseline, is_own
+from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.own_policy import check_own_policy, own_policy, split_own_policy
 from usarmjx.train.policies.sources import PolicySource, load_policy
+from usarmjx.train.task_names import is_own
 
 BASELINE, PACKAGED, RANDOM = "baseline", "packaged", "random"
 KINDS = ("baseline", "run", "file", "python", "client")

@@ -22,28 +22,11 @@ from usarmjx.sim.calibration import build_calibrated
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, Task
+from usarmjx.train.task_names import full_name, is_own, path_of
 from usarmjx.train.tasks import TASKS
 
 MAX_NAME = 500
 """Longest name of a task that a file may give [characters]."""
-
-
-def is_own(name: str) -> bool:
-    """Return whether a name is that of a user's own task."""
-    return ":" in name or name.endswith(".py")
-
-
-def full_name(name: str) -> str:
-    """Return a task's name as records have it: of a user's own task with the whole path of its file."""
-    place, _, found = name.rpartition(":")
-    return f"{_path(place)}:{found}" if place.endswith(".py") else name
-
-
-def same_class(one: str, other: str) -> bool:
-    """Return whether two names are of the same task, own ones perhaps in files that are elsewhere."""
-    if is_own(one) and is_own(other):
-        return one.rpartition(":")[2] == other.rpartition(":")[2]
-    return one.lower() == other.lower()
 
 
 def find_task(name: str) -> Task:
@@ -119,12 +102,12 @@ def check_named(name: str, source: str) -> None:
         raise UsageError(f"{source} names the task {shown(name)}, which no file or module has")
     place, _, wanted = name.rpartition(":")
     in_file = place.endswith(".py")
-    if in_file and not _path(place).is_file():
+    if in_file and not path_of(place).is_file():
         raise UsageError(
             f"{source} is for the task {wanted} of {place}, which does not exist; if it has moved, add "
             f"--task FILE.py:{wanted}"
         )
-    if (_module_name(_path(place)) if in_file else place) not in sys.modules:
+    if (_module_name(path_of(place)) if in_file else place) not in sys.modules:
         raise UsageError(
             f"{source} names the task {shown(name)}, whose code it does not run by itself; if you trust that "
             f"code, name it: --task {shown(name)}"
@@ -134,11 +117,7 @@ def check_named(name: str, source: str) -> None:
 def file_of(name: str) -> Path | None:
     """Return the file that an own task is in; None: it is not named by one."""
     place = name.rpartition(":")[0]
-    return _path(place) if place.endswith(".py") else None
-
-
-def _path(place: str) -> Path:
-    return Path(place).expanduser().absolute()
+    return path_of(place) if place.endswith(".py") else None
 
 
 def _tasks_in(module: ModuleType) -> list[str]:
@@ -172,10 +151,10 @@ def _module(name: str, place: str) -> ModuleType:
         UsageError: There is none, or importing it fails; names the line.
     """
     in_file = place.endswith(".py")
-    if in_file and not _path(place).is_file():
-        raise UsageError(f"task {name}: there is no file {_path(place)}")
+    if in_file and not path_of(place).is_file():
+        raise UsageError(f"task {name}: there is no file {path_of(place)}")
     try:
-        return _from_file(_path(place)) if in_file else importlib.import_module(place)
+        return _from_file(path_of(place)) if in_file else importlib.import_module(place)
     except (Exception, SystemExit) as error:
         raise UsageError(f"task {name}: {_fault(error, place)}") from error
 
@@ -211,8 +190,8 @@ def _fault(error: BaseException, place: str) -> str:
         return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
     if not place.endswith(".py"):
         return f"cannot import {place}: {why}"
-    own = [one for one in traceback.extract_tb(error.__traceback__) if one.filename == str(_path(place))]
-    return f"{own[-1].filename}, line {own[-1].lineno}: {why}" if own else f"{_path(place)}: {why}"
+    own = [one for one in traceback.extract_tb(error.__traceback__) if one.filename == str(path_of(place))]
+    return f"{own[-1].filename}, line {own[-1].lineno}: {why}" if own else f"{path_of(place)}: {why}"
 
 
 def make_task(name: str, **overrides: object) -> Task:

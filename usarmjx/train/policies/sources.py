@@ -16,12 +16,13 @@ from usarmjx.train.envs.membership import building_label, training_note
 from usarmjx.train.envs.recipe import TEST, GeneratedArenas
 from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-from usarmjx.train.make import check_named, find_baseline, make, make_task, same_class, task_values
+from usarmjx.train.make import check_named, find_baseline, make, make_task, task_values
 from usarmjx.train.policies import POLICIES, no_policy
 from usarmjx.train.policies.own_policy import check_own_policy, is_own_policy, own_policy
 from usarmjx.train.policies.policy_file import NumpyPolicy
 from usarmjx.train.policies.policy_folder import weights_in
 from usarmjx.train.policies.untrained import UNTRAINED, check_untrained
+from usarmjx.train.task_names import same_class
 
 EPISODES, WORLDS = 100, 20
 """Default numbers of episodes and of worlds at once in an evaluation."""
