@@ -85,7 +85,8 @@ class TrainCommand(TyperCommand):
 def settings_help(names: Sequence[str]) -> str:
     """Return the settings of the training and the fields of the first task among some words; else nothing."""
     from usarmjx.train.learning.config import Config, task_config
-    from usarmjx.train.make import is_own, make_task
+    from usarmjx.train.make import make_task
+    from usarmjx.train.task_names import is_own
     from usarmjx.train.tasks import TASKS
 
     task = next((name for name in names if is_own(name) or name in TASKS), None)
@@ -274,17 +275,24 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown, processes: in
     if processes > 1 and not _joined():
         raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
     joined, engine = process_info(os.environ), options.engine
+    first = joined is None or joined.index == 0
     recorded = options.resume and engine == "auto"
     announce(
         f"building worlds for {task} ...",
-        aloud=joined is None or joined.index == 0,
+        aloud=first,
         engines=[recorded_engine(options.out) if recorded else tried_on(engine)],
     )
+    # The child's ports open before this process imports JAX, for seconds.
+    with _served(options.out, task, shown.port, shown.serve and first, shown.port_offset):
+        _train_and_show(task, options, shown)
+
+
+def _train_and_show(task: str, options: TrainOptions, shown: _Shown) -> None:
+    """Train, after joining the other processes if there are any, and print the score."""
     from usarmjx.train.learning.processes import distributed_run
 
     with (
         distributed_run() as process,
-        _served(options.out, task, shown.port, shown.serve and process.index == 0, shown.port_offset),
         viewer_socket(HOST, shown.viewer_port, shown.port_offset, shown.view and process.index == 0) as page,
     ):
         watchers: list[_TrainingWatcher] = []
@@ -330,7 +338,7 @@ def _served(run: Path, task: str, port: int, wanted: bool, offset: int = 0) -> G
     if not wanted:
         yield
         return
-    from usarmjx.train.make import is_own
+    from usarmjx.train.task_names import is_own
 
     if os.name == "nt":
         from usarmjx.base.errors import UsageError
