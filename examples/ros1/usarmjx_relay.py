@@ -8,16 +8,19 @@ It needs rospy, websockets and cbor2. On Debian 12 these are packages:
     usarmjx serve --arena yellow --rosbridge-port 9090 --ros-version 1 &
     /usr/bin/python3 usarmjx_relay.py _url:=ws://127.0.0.1:9090 _robot:=P2AT _name:=R1
 
-Messages come as ROS 1's own bytes (`cbor-raw`). A topic whose message package is not installed is left out
-with a warning. Simulated time is in /clock: set /use_sim_time before other nodes start.
+It waits until the master and the server listen. Messages come as ROS 1's own bytes (`cbor-raw`). A topic
+whose message package is not installed is left out with a warning. Simulated time is in /clock: set
+/use_sim_time before other nodes start.
 """
 # pyright: reportMissingImports=false
 
 import asyncio
 import json
+import time
 from typing import Any
 
 import cbor2
+import rosgraph
 import rospy
 from geometry_msgs.msg import Twist
 from roslib.message import get_message_class
@@ -25,6 +28,8 @@ from websockets import connect
 
 LATCHED = ("/map", "/tf_static", "/robot_description")
 """Ends of topics whose last message goes to late subscribers, too."""
+INTERVAL = 0.2
+"""Interval between two attempts to reach the master or the server [s]."""
 
 
 def twist_fields(twist: Twist) -> dict[str, Any]:
@@ -95,16 +100,32 @@ class Relay:
                 rospy.logwarn(said["msg"])
 
 
+async def connected(url: str) -> Any:
+    """Return a connection to the server, as soon as that listens."""
+    while not rospy.is_shutdown():
+        try:
+            # Without pings: a server that compiles a robot answers none.
+            return await connect(url, max_size=None, ping_interval=None)
+        except OSError:
+            await asyncio.sleep(INTERVAL)
+    raise rospy.ROSInterruptException
+
+
 async def relay() -> None:
     """Connect, and hand on."""
-    async with connect(rospy.get_param("~url", "ws://127.0.0.1:9090"), max_size=None) as socket:
+    socket = await connected(rospy.get_param("~url", "ws://127.0.0.1:9090"))
+    try:
         node = Relay(socket)
         await node.begin()
         await node.run()
+    finally:
+        await socket.close()
 
 
 def main() -> None:
-    """Run the node."""
+    """Run the node, as soon as there is a master."""
+    while not rosgraph.is_master_online():
+        time.sleep(INTERVAL)
     rospy.init_node("usarmjx_relay")
     asyncio.run(relay())
 

@@ -17,7 +17,7 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 PYTHON = "/usr/bin/python3"
 RELAY = dev.ROOT / "examples" / "ros1" / "usarmjx_relay.py"
-LISTENER = """
+LISTENER = f"""
 import json, rospy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
@@ -26,22 +26,22 @@ from sensor_msgs.msg import LaserScan
 from tf2_msgs.msg import TFMessage
 
 rospy.init_node("listener", disable_signals=True)
-odom = rospy.wait_for_message("/R1/odom", Odometry, 30.0)
-scan = rospy.wait_for_message("/R1/Scanner1", LaserScan, 30.0)
-clock = rospy.wait_for_message("/clock", Clock, 30.0)
-frames = rospy.wait_for_message("/tf", TFMessage, 30.0)
+odom = rospy.wait_for_message("/R1/odom", Odometry, {PATIENCE})
+scan = rospy.wait_for_message("/R1/Scanner1", LaserScan, {PATIENCE})
+clock = rospy.wait_for_message("/clock", Clock, {PATIENCE})
+frames = rospy.wait_for_message("/tf", TFMessage, {PATIENCE})
 drive = rospy.Publisher("/R1/cmd_vel", Twist, queue_size=1)
 command, x = Twist(), odom.pose.pose.position.x
 command.linear.x = 0.4
 while x < odom.pose.pose.position.x + 0.2:
     drive.publish(command)
-    x = rospy.wait_for_message("/R1/odom", Odometry, 30.0).pose.pose.position.x
-print(json.dumps({
+    x = rospy.wait_for_message("/R1/odom", Odometry, {PATIENCE}).pose.pose.position.x
+print(json.dumps({{
     "frames": [odom.header.frame_id, odom.child_frame_id, scan.header.frame_id],
     "beams": len(scan.ranges), "clock": clock.clock.to_sec(),
     "tf": sorted(t.child_frame_id for t in frames.transforms),
     "moved": x - odom.pose.pose.position.x,
-}))
+}}))
 """
 
 
@@ -75,7 +75,7 @@ def test_nodes_of_ros_1_hear_a_robot_and_drive_it(tmp_path):
         running(PYTHON, str(RELAY), f"_url:=ws://127.0.0.1:{port}", env=env),
     ):
         done = subprocess.run(
-            [PYTHON, "-c", LISTENER], env=env, capture_output=True, text=True, timeout=2 * PATIENCE
+            [PYTHON, "-c", LISTENER], env=env, capture_output=True, text=True, timeout=6 * PATIENCE
         )
         assert done.returncode == 0, done.stderr
         found = json.loads(done.stdout.splitlines()[-1])
