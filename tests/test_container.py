@@ -99,13 +99,16 @@ def test_the_workflow_runs_what_there_is_on_each_python_that_we_name():
     text = (dev.ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
     jobs = yaml.safe_load(text)["jobs"]
     named = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)]
-    for job in jobs.values():
-        assert job["strategy"]["matrix"]["python"] == named
+    for name, job in jobs.items():
+        assert name == "clients" or job["strategy"]["matrix"]["python"] == named
     runs = {name: [step["run"] for step in job["steps"] if "run" in step] for name, job in jobs.items()}
-    assert set(runs) == {"check", "wheel", "adapters"}
+    assert set(runs) == {"check", "wheel", "adapters", "clients"}
     assert runs["check"] == [".ci/run"]
     assert runs["wheel"] == ["python dev.py try --python python"]
     assert "python -m pytest -n0 tests/train/adapters" in runs["adapters"]
+    *_, tests, none_is_skipped = runs["clients"]
+    assert none_is_skipped == "! grep SKIPPED clients.txt"
+    assert all((dev.ROOT / word).exists() for word in tests.split() if word.startswith("tests/"))
     assert (dev.ROOT / ".ci" / "run").exists()
     assert command_problem(["python", "dev.py", "try", "--python", "python"]) == ""
 
