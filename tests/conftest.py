@@ -14,6 +14,7 @@ import pytest
 from jax._src import compilation_cache
 
 from tests.offline import cut_network
+from tests.program_cache import folder_of_programs
 from usarmjx.base.compilation import fast_compilation_flags
 
 MUCH = 2.5e9
@@ -67,12 +68,11 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("double"):
         os.environ["JAX_ENABLE_X64"] = "1"  # for programs that tests start
         jax.config.update("jax_enable_x64", True)
-    # What a test compiles that another one has compiled is read from a folder, which starts empty: a fifth of
-    # the time of training's tests. The processes of a run share it.
-    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") if "PYTEST_XDIST_WORKER" in os.environ else None
+    # What a test compiles that another one has compiled is read from a folder: a fifth of the time of
+    # training's tests. The processes of a run share it. It starts empty, unless a variable names one.
     own = tempfile.TemporaryDirectory(prefix="usarmjx-tests-")
     config.add_cleanup(own.cleanup)
-    folder = folder or str(Path(own.name) / "compiled")
+    folder = str(folder_of_programs(os.environ, Path(own.name)))
     write_whole_entries(folder)
     # Nothing is downloaded at run time, so no test may reach another machine.
     config.stash[ASKED] = Path(own.name) / "asked-of-others"
