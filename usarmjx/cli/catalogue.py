@@ -177,7 +177,8 @@ SECTIONS = {
     "Magnetometer": "ours",
     "Battery": "ours",
     **dict.fromkeys(
-        ("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass"), "later versions"
+        ("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass", "LineLaser", "Kinect"),
+        "later versions",
     ),
 }
 """Source of each: a section of the manual, messages of real servers, or neither."""
@@ -208,6 +209,8 @@ SAMPLES = {
     "MissionTime": [4.0],
     "AHRS": [0.12, 0.0, 0.02, 0.0, 0.01, 0.52, 0.0, 0.0, 0.1, 0.0, 0.02, -1.57],
     "MagneticCompass": [1.57],
+    "LineLaser": [[4.5, -1.9, 0.3], [0.0, 0.0, -1.57], [5.5, -2.9, 0.3], [4.5, -2.9, 0.3]],
+    "Kinect": [12.0, 1.234, 3.0],
 }
 """Values in our axes, of one mount."""
 SHORT_OPTIONS = {

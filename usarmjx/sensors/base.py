@@ -197,6 +197,7 @@ class Sensor(ABC):
         needs_surroundings: Whether it uses the surroundings.
         needs_victims: Whether it uses victims, not only tags.
         needs_battery: Whether it uses the battery time.
+        steers_rays: Whether its rays depend on its memory; see `steered_rays`.
         settings_class: Class of its settings.
         opcodes: Parameters of the operations of SET, by name in capitals; an operation that is not here may
             have any number of them.
@@ -214,6 +215,7 @@ class Sensor(ABC):
     needs_surroundings: ClassVar[bool] = False
     needs_victims: ClassVar[bool] = True
     needs_battery: ClassVar[bool] = False
+    steers_rays: ClassVar[bool] = False
     settings_class: ClassVar[type[Any]] = SensorSettings
     opcodes: ClassVar[dict[str, Parameters]] = {}
     quantities: ClassVar[tuple[Quantity, ...]] = ()
@@ -243,6 +245,11 @@ class Sensor(ABC):
         and hit nothing.
         """
         del surroundings
+        return self.rays(bodies)
+
+    def steered_rays(self, bodies: BodyPoses, memory: Any) -> tuple[Array, Array]:  # noqa: ANN401
+        """Return the rays as `rays` does, for a sensor that `steers_rays`: as many at any memory."""
+        del memory
         return self.rays(bodies)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
@@ -304,6 +311,11 @@ class Sensor(ABC):
     @property
     def on_command(self) -> bool:
         """Whether it measures only on the SCAN command."""
+        return False
+
+    def goes_on(self, memory: Any) -> Array | bool:  # noqa: ANN401
+        """Return whether a sensor `on_command` measures again without another one (), after a reading."""
+        del memory
         return False
 
     def check(self) -> None:

@@ -28,7 +28,9 @@ from usarmjx.sensors import (
     gps,
     human_motion,
     inertial,
+    kinect,
     later,
+    line_laser,
     motion,
     power,
     ranging,
@@ -46,7 +48,8 @@ from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 __all__ = ["SENSORS", "SENSOR_MODULES"]
 
 SENSOR_MODULES = (
-    *(attitude, co2, gps, human_motion, inertial, later, motion, power, ranging, rfid, sound, touch, victim),
+    *(attitude, co2, gps, human_motion, inertial, kinect, later, line_laser, motion, power, ranging, rfid),
+    *(sound, touch, victim),
 )
 """Modules whose import registers sensor types; a new module belongs here."""
 
@@ -120,6 +123,11 @@ class Suite:
         """Mask of the sensors that measure without a command (sensors,)."""
         return np.array([not sensor.on_command for sensor in self.sensors], bool)
 
+    @cached_property
+    def steers_rays(self) -> bool:
+        """Whether the rays of any sensor depend on its memory."""
+        return any(sensor.steers_rays for sensor in self.sensors)
+
     def rays(self, bodies: BodyPoses, surroundings: Surroundings = NO_SURROUNDINGS) -> tuple[Array, Array]:
         """Return origins [m] and unit directions (rays, 3) of all sensors' rays, sensor by sensor."""
         pairs = [sensor.aimed_rays(bodies, surroundings) for sensor in self.sensors]
@@ -151,6 +159,7 @@ class Suite:
         slot: Array | np.int32,
         due: Array | None = None,
         surroundings: Surroundings = NO_SURROUNDINGS,
+        own: tuple[Any, ...] | None = None,
     ) -> Hits:
         """Return the hits of all sensors' rays of a robot, with incidence only for sensors that use it.
 
@@ -161,11 +170,20 @@ class Suite:
             due: Which sensors measure now (sensors,); rays of the others are not cast and hit nothing. None:
                 all.
             surroundings: Victims and tags.
+            own: Each sensor's own memory, for those that steer their rays; None: as at the start.
         """
         if on_numpy():
-            return self._hits_on_numpy(cast, bodies, np.asarray(slot), due, surroundings)
+            return self._hits_on_numpy(cast, bodies, np.asarray(slot), due, surroundings, own)
         hits = [
-            self._hits_of(sensor, cast, bodies, slot, None if due is None else due[i], surroundings)
+            self._hits_of(
+                sensor,
+                cast,
+                bodies,
+                slot,
+                None if due is None else due[i],
+                surroundings,
+                own[i] if own is not None and sensor.steers_rays else None,
+            )
             for i, sensor in enumerate(self.sensors)
             if self.ray_counts[i]
         ]
@@ -181,10 +199,11 @@ class Suite:
         slot: Array | np.int32,
         wanted: Array | None,
         surroundings: Surroundings,
+        memory: Any | None,  # noqa: ANN401 - the sensor's own
     ) -> Hits:
         """Return the hits of one sensor's rays, if they are wanted."""
         fans = sensor.fans(bodies)
-        origin, direction = sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
+        origin, direction = _rays(sensor, bodies, surroundings, memory) if fans is None else fans.rays()
         if fans is None:
             wanted = (direction != 0).any() & (True if wanted is None else wanted)
         with named_scope(sensor.kind):
@@ -197,6 +216,7 @@ class Suite:
         slot: np.ndarray,
         due: Array | None,
         surroundings: Surroundings,
+        own: tuple[Any, ...] | None,
     ) -> Hits:
         """As `hits`, for one robot () or several (robots,)."""
         distance = np.full((*slot.shape, sum(self.ray_counts)), np.inf, np.float32)
@@ -210,8 +230,11 @@ class Suite:
                 if together is not None:
                     origin, direction = (part[robot] for part in together)
                 else:
-                    own = BodyPoses(pos=bodies.pos[robot], mat=bodies.mat[robot])
-                    origin, direction = _rays(sensor, own, surroundings)
+                    there = BodyPoses(pos=bodies.pos[robot], mat=bodies.mat[robot])
+                    memory = None
+                    if own is not None and sensor.steers_rays:
+                        memory = jax.tree.map(lambda x, robot=robot: x[robot], own[i])
+                    origin, direction = _rays(sensor, there, surroundings, memory)
                 if len(aimed := np.flatnonzero(direction.any(-1))):
                     met = cast(origin[aimed], direction[aimed], _query(sensor, slot[robot]), None)
                     at = (*robot, self._rays_of(i).start + aimed)
@@ -297,10 +320,19 @@ class Suite:
         intervals = intervals_in_steps(self._intervals, inputs.clock.period)
         due, lead = next_due(inputs.clock.step, memory.due, memory.lead, intervals)
         due, lead = xp.where(fresh, due, memory.due), xp.where(fresh, lead, memory.lead)
-        armed = xp.where(fresh, self._automatic, memory.armed)
-        own, last = tuple(own for own, _ in kept), tuple(value for _, value in kept)
+        own = tuple(own for own, _ in kept)
+        armed = xp.where(fresh, self._stays_armed(own), memory.armed)
+        last = tuple(value for _, value in kept)
         readings = tuple(Reading(value=value, fresh=fresh[..., i]) for i, value in enumerate(last))
         return SensorMemory(due=due, lead=lead, armed=armed, own=own, last=last), readings
+
+    def _stays_armed(self, own: tuple[Any, ...]) -> Array:
+        """Return which sensors measure again without a command (..., sensors), after a reading."""
+        going = [sensor.goes_on(memory) for sensor, memory in zip(self.sensors, own, strict=True)]
+        if all(one is False for one in going):
+            return self._automatic
+        going = xp.broadcast_arrays(*(xp.asarray(one, bool) for one in going))
+        return self._automatic | xp.stack(going, -1)
 
     def _read_if(
         self, i: int, sensor: Sensor, fresh: Array, inputs: SensorInput, memory: SensorMemory, key: Array
@@ -382,8 +414,15 @@ def migrate_memory(before: Suite, after: Suite, memory: SensorMemory, fresh: Sen
     )
 
 
-def _rays(sensor: Sensor, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
-    """Return origins [m] and unit directions (rays, 3) of a sensor's rays."""
+def _rays(
+    sensor: Sensor,
+    bodies: BodyPoses,
+    surroundings: Surroundings,
+    memory: Any | None,  # noqa: ANN401 - the sensor's own
+) -> tuple[Array, Array]:
+    """Return origins [m] and unit directions (rays, 3) of a sensor's rays; steered by its memory if given."""
+    if memory is not None:
+        return sensor.steered_rays(bodies, memory)
     fans = sensor.fans(bodies)
     return sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
 

@@ -287,11 +287,12 @@ def sense(
 def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: RayCaster) -> Hits:
     """Return the hits of the rays of a group's robots (robots, rays); those of sensors that are due."""
 
-    def one(bodies: BodyPoses, slot: Array, due: Array) -> Hits:
-        return group.suite.hits(cast, bodies, slot, due, inputs.surroundings_or_empty)
+    def one(bodies: BodyPoses, slot: Array, due: Array, own: tuple[Any, ...] | None) -> Hits:
+        return group.suite.hits(cast, bodies, slot, due, inputs.surroundings_or_empty, own)
 
     together = one if on_numpy() else vmap(one)
-    return together(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.clock, memory))
+    own = memory.own if group.suite.steers_rays else None
+    return together(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.clock, memory), own)
 
 
 def battery_left(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:

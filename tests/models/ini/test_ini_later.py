@@ -43,11 +43,11 @@ HiddenSensor=false
 [USARSensor.SonarSensor]
 MaxRange=5.0
 maxAngleOfIncidence=0.5
-[USARSensor.LineLaser]
+[USARSensor.BumperArray]
 ScanInterval=0.2
 [USARBot.P3AT]
 {part("SICK", "lms200", ',Parent="USARbot.P3AT"')}{part("Odometry", "Odometer")}{part("IMU", "IMU")}\
-{part("USARCamera", "")}{part("LineLaser", "Line")}{part("LineLaser", "Line2")}{part("Tachometer", "Tach")}\
+{part("USARCamera", "")}{part("BumperArray", "Bumpers")}{part("BumperArray", "Bumpers2")}{part("Tachometer", "Tach")}\
 {part("P3ATBatteryPack", "Pack", package="USARDeco")}[USARBot.Nao]
 {part("GroundTruth", "Truth")}[UTGame.UTGame]
 BotRatio=1
@@ -100,7 +100,7 @@ def test_a_section_about_a_scanner_keeps_its_other_figures(load):
         "a.ini:4: [USARSensor.Sensor] is left out: each class of sensors has its own defaults",
         "a.ini:7: bWithTimeStamp is ignored: the dialect of the connection decides",
         "a.ini:10: HiddenSensor is ignored: robots look as their solids do",
-        "a.ini:15: USARSensor.LineLaser is left out, 3 lines: usarmjx has no such class",
+        "a.ini:15: USARSensor.BumperArray is left out, 3 lines: usarmjx has no such class",
         "a.ini:17: P3AT is the later versions' name of P2AT",
         "a.ini:24: USARDeco.P3ATBatteryPack is left out: usarmjx has no such class",
         "a.ini:26: [USARBot.Nao] is left out: no robot and no item of usarmjx has that class",

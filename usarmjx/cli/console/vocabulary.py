@@ -41,7 +41,7 @@ SENSOR_TYPES = (
     *("Odometry", "INS", "INU", "Encoder", "GroundTruth", "GPS"),
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
     *("IMU", "Magnetometer", "Battery", "Lidar"),
-    *("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass"),
+    *("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass", "LineLaser", "Kinect"),
 )
 """Types of sensors; some of them report only on events."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")
@@ -53,6 +53,7 @@ SENSOR_OPCODES: dict[str, tuple[str, ...]] = {
     "rangescanner": ("SCAN",),
     "irscanner": ("SCAN",),
     "rangescanner3d": ("SCAN",),
+    "kinect": ("SCAN",),
     "rfid": ("Read", "Write"),
     "camera": ("Zoom",),
     "joint": JOINT_OPCODES,

@@ -26,9 +26,13 @@ LATER_ITEMS = {
     "imu": "AHRS",
     "battery": "Battery",
     "magneticcompass": "MagneticCompass",
+    "kinectdepth": "Kinect",
 }
 """Classes of items of the later versions with another name."""
-OWN_KINDS = ("AHRS", "Battery", "MagneticCompass", "Tachometer", "AltitudeSensor", "MissionTime")
+OWN_KINDS = (
+    *("AHRS", "Battery", "MagneticCompass", "Tachometer", "AltitudeSensor", "MissionTime"),
+    *("LineLaser", "Kinect"),
+)
 """Types that the manual has no class of."""
 
 WHEELS = {"P2AT": ("RightFWheel", "LeftFWheel", "RightRWheel", "LeftRWheel")}
@@ -49,10 +53,13 @@ LATER_IGNORED = {
     "currentenergy": "STA counts seconds: BatteryLife of the robot's section",
     "batterylife": "it is a key of the robot's section",
     "drifting": "INS drifts as Sigma and Mean say",
+    "squaresize": "pictures show a laser's points as balls",
+    "linespace": "pictures show a laser's points as balls",
+    "ispointonlinevariance": "pictures show a laser's points as balls",
 }
 """Keys of items of the later versions without effect, with the reason."""
-LATER_KEYS = {"maxangleofincidence": "MaxIncidence"}
-"""Keys of items of the later versions with another name."""
+LATER_KEYS = {("sonarsensor", "maxangleofincidence"): "MaxIncidence", ("linelaser", "resolution"): "Beams"}
+"""Keys of items of the later versions with another name, by class and key in lower case."""
 FOREIGN = {
     "usarbotapi.": "the server's settings are options of `usarmjx serve`",
     "botapi.": "the server's settings are options of `usarmjx serve`",
@@ -139,7 +146,7 @@ class _Translation:
             if key in LATER_IGNORED:
                 self._notes.add(line, f"{line.key} is ignored: {LATER_IGNORED[key]}")
             else:
-                lines.append(replace(line, key=LATER_KEYS.get(key, line.key)))
+                lines.append(replace(line, key=LATER_KEYS.get((name, key), line.key)))
         if name in LATER_ITEM_CLASSES:
             self._derived.setdefault(ours, section.lines[0])
         return replace(section, name=f"USARBot.{ours}", lines=tuple(lines))

@@ -192,6 +192,18 @@ def _ahrs(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_ahrs(time, sensor.mounts[0].name, (ahead, -left, up), rates, changes, angles)
 
 
+def _line_laser(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    place, angles, *points = np.asarray(value, float).tolist()
+    orientation = wrap_angles(flip_wire_angles(angles))
+    line = [flip_wire_vector(point) for point in points]
+    return reports.sen_line_laser(time, sensor.mounts[0].name, flip_wire_vector(place), orientation, line)
+
+
+def _kinect(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    frame, *depths = value.tolist()
+    return reports.sen_kinect(time, sensor.mounts[0].name, int(frame), depths)
+
+
 def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     touched = [(mount.name, bool(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
     return reports.sen_touch(time, touched)
@@ -217,6 +229,8 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]]
     "Encoder": _encoder,
     "Tachometer": _tachometer,
     "AHRS": _ahrs,
+    "LineLaser": _line_laser,
+    "Kinect": _kinect,
     "Touch": _touch,
     "GPS": _gps,
     **victims.REPORTS,
@@ -250,6 +264,13 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "Encoder": (("Resolution", "resolution"),),
     "Tachometer": (("ScanInterval", "scan_interval"),),
     "AHRS": (("ScanInterval", "scan_interval"),),
+    "LineLaser": (
+        ("MaxRange", "max_range"),
+        ("MinRange", "min_range"),
+        ("FOV", "fov"),
+        ("Resolution", "beams"),
+    ),
+    "Kinect": (*_SCANNER_3D_FIELDS[:-1], ("Fov", "fov")),
     "Touch": (("Diameter", "diameter"),),
     **victims.CONFIGURATION,
 }

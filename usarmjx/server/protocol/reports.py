@@ -292,6 +292,29 @@ def sen_ahrs(
     return _sen(_precise(time), "AHRS", ("Name", name), *pairs)
 
 
+def sen_line_laser(
+    time: float | None, name: str, location: Vector, orientation: Vector, points: Iterable[Sequence[float]]
+) -> Message:
+    """Return the pose of a line laser and the points of its line (LineLaser.uc).
+
+    Args:
+        time: Simulated time [s].
+        name: The sensor's name.
+        location: Its position [m].
+        orientation: Roll, pitch and yaw [rad].
+        points: Points of the line [m], with 3 decimals.
+    """
+    texts = [f"[{','.join(f'{value:.3f}' for value in point)}]" for point in points]
+    pose = ("Location", four_decimals_list(location)), ("Orientation", four_decimals_list(orientation))
+    return _sen(_precise(time), "LineLaser", ("Name", name), *pose, ("Points", "".join(texts)))
+
+
+def sen_kinect(time: float | None, name: str, frame: int, depths: Iterable[float]) -> Message:
+    """Return a strip of a picture of depths [m], which are sent in centimetres, cut (KinectDepth.uc)."""
+    texts = ",".join(str(int(depth * 100)) for depth in depths)
+    return _sen(_precise(time), "Kinect", ("Name", name), ("Frame", str(frame)), ("Range", texts))
+
+
 def sen_gps(time: float | None, name: str, position: tuple[float, float] | None, satellites: int) -> Message:
     """Return a position; without one the line has neither latitude nor longitude (GPSSensor.uc).
 
