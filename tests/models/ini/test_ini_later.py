@@ -47,7 +47,7 @@ maxAngleOfIncidence=0.5
 ScanInterval=0.2
 [USARBot.P3AT]
 {part("SICK", "lms200", ',Parent="USARbot.P3AT"')}{part("Odometry", "Odometer")}{part("IMU", "IMU")}\
-{part("USARCamera", "")}{part("BumperArray", "Bumpers")}{part("BumperArray", "Bumpers2")}{part("Tachometer", "Tach")}\
+{part("USARCamera", "")}{part("BumperArray", "B1")}{part("BumperArray", "B2")}{part("Tachometer", "Tach")}\
 {part("P3ATBatteryPack", "Pack", package="USARDeco")}[USARBot.Nao]
 {part("GroundTruth", "Truth")}[UTGame.UTGame]
 BotRatio=1

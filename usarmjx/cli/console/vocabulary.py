@@ -27,6 +27,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "CONTROL": (
         *("Type", "Name", "ClassName", "Location", "Rotation", "Start"),
         *("Scale", "Physics", "Permanent", "MinPos", "MaxPos"),
+        *("WP", "Speed", "Time", "Move", "Loop", "Autoalign", "Show", "ResetOnClear"),
     ),
 }
 """The keys of each command; those of MULTIDRIVE are a robot's joints."""

@@ -9,7 +9,8 @@
 
 Names are those of loose objects of the arena, then of robots. Keys, axes and signs are WorldController.uc's;
 the z of a size is negative, because z points down on the wire. Only GetSTA has an answer. A created object
-stays when its controller leaves. Kill does not remove the arena's own objects.
+stays when its controller leaves. Kill does not remove the arena's own objects. `object_paths` has the commands
+that set an object in motion.
 """  # noqa: E501 - an answer is one line
 
 import numpy as np
@@ -19,6 +20,7 @@ from usarmjx.base.errors import PeerError
 from usarmjx.base.registry import is_name
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, angles_from_mat, quat_from_angles
+from usarmjx.server.gamebots.object_paths import MOTION_COMMANDS
 from usarmjx.server.gamebots.spawning import names_of_robots, start_of
 from usarmjx.server.gamebots.world_objects import (
     FREE_PHYSICS,
@@ -72,8 +74,10 @@ class WorldController:
                 self._kill(command.name)
             case "killall":
                 self._kill_all(command.corners)
+            case kind if kind in MOTION_COMMANDS:
+                MOTION_COMMANDS[kind](self._world, self._index(command.name), command)
             case _:
-                known = "GetSTA, AbsMove, RelMove, Create, Kill, KillAll"
+                known = "GetSTA, AbsMove, RelMove, Create, Kill, KillAll, SetWP, AddWP, ClearWP, Rotate"
                 raise PeerError(f"no CONTROL of type {clip(command.type)}; known: {known}")
         return None
 
@@ -120,6 +124,17 @@ class WorldController:
         """Return the names of all objects in lower case, by index."""
         return [thing.name.lower() for thing in self._world.scene.arena.loose]
 
+    def _index(self, name: str) -> int:
+        """Return the index of an object.
+
+        Raises:
+            PeerError: None has that name.
+        """
+        names = self._names()
+        if name.lower() not in names:
+            raise PeerError(f"no object here is called {clip(name)}")
+        return names.index(name.lower())
+
     def _create(self, command: Control) -> None:
         world, key = self._world, command.name.lower()
         if not is_name(command.name):
@@ -144,6 +159,7 @@ class WorldController:
             raise PeerError(f"no object {clip(name)} was created")
         self._world.remove_loose(self._names().index(name.lower()))
         del self._world.created[name.lower()]
+        self._world.motions.pop(name.lower(), None)
 
     def _kill_all(self, corners: tuple[Vec3, Vec3] | None) -> None:
         """Remove all created objects that are not permanent, or only those between two corners."""
@@ -178,5 +194,7 @@ class WorldController:
         quat = np.asarray(quat_from_angles(roll, pitch, yaw))
         if index is not None:
             world.move_loose(index, place, quat)
+            if command.name.lower() in world.motions:
+                world.motions[command.name.lower()].angles = turn
         elif robot is not None:
             world.move_robot(robot, place, quat)

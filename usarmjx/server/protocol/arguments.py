@@ -28,6 +28,7 @@ class ArgumentKind(Enum):
     NUMBER = "a number"
     TRUTH = "True, False or a number"
     VECTOR = "numbers"
+    POINTS = "points of three numbers, separated by semicolons"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,10 @@ ARGUMENTS: dict[str, dict[str, Argument]] = {
         **dict.fromkeys(("Location", "MinPos", "MaxPos"), Argument(ArgumentKind.VECTOR, Setting(unit="m"))),
         "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
         "Scale": Argument(ArgumentKind.VECTOR, Setting()),
-        "Permanent": _TRUTH,
+        **dict.fromkeys(("Permanent", "Move", "Loop", "Autoalign", "Show", "ResetOnClear"), _TRUTH),
+        "Speed": Argument(ArgumentKind.VECTOR, Setting()),  # one number of SetWP, three of Rotate
+        "Time": _SECONDS,
+        "WP": Argument(ArgumentKind.POINTS, Setting(unit="m")),
     },
     "SET": {},  # those of its opcodes: see `read_parameters`
     "TRACE": {"On": _TRUTH, "Interval": _SECONDS},
@@ -124,10 +128,16 @@ def _is_vector(text: str) -> bool:
     return all(map(is_number, split_vector(text)))
 
 
+def _is_points(text: str) -> bool:
+    points = [split_vector(point) for point in text.split(";") if point.strip()]
+    return bool(points) and all(len(point) == 3 and all(map(is_number, point)) for point in points)
+
+
 _MATCHES: dict[ArgumentKind, Callable[[str], bool]] = {
     ArgumentKind.NUMBER: is_number,
     ArgumentKind.TRUTH: _is_truth,
     ArgumentKind.VECTOR: _is_vector,
+    ArgumentKind.POINTS: _is_points,
 }
 
 

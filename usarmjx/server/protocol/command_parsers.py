@@ -29,6 +29,7 @@ from usarmjx.server.protocol.commands import (
     LinkCommand,
     MisPkg,
     MultiDrive,
+    PathOptions,
     Set,
     SetFov,
     SetJoint,
@@ -303,6 +304,10 @@ def _control(message: Message) -> Command | Ignored:
     kind, name = message.get("Type"), message.get("Name")
     if not kind:
         return Ignored("CONTROL without a Type")
+    if kind.lower() in ("setwp", "addwp"):
+        return Control(kind, name, path=_path(message))
+    if kind.lower() == "rotate":
+        return Control(kind, name, spin=_vector(message.get("Speed")))
     low, high = _vector(message.get("MinPos")), _vector(message.get("MaxPos"))
     return Control(
         *(kind, name, message.get("ClassName"), location, rotation),
@@ -311,6 +316,31 @@ def _control(message: Message) -> Command | Ignored:
         physics=message.get("Physics"),
         permanent=to_bool(message.get("Permanent")),
         corners=None if low is None or high is None else (low, high),
+    )
+
+
+def _path(message: Message) -> PathOptions:
+    """Return waypoints and options.
+
+    Raises:
+        PeerError: The speed is not one number.
+    """
+    speed = message.get("Speed")
+    if speed and not is_number(speed):
+        raise PeerError(f"Speed is {clip(speed)}; expected a number [m/s]")
+    points = [_vector(text.strip()) for text in message.get("WP").split(";") if text.strip()]
+    move, loop, align, reset = (
+        to_bool(text) if text else None
+        for text in map(message.get, ("Move", "Loop", "Autoalign", "ResetOnClear"))
+    )
+    return PathOptions(
+        points=tuple(point for point in points if point is not None),
+        speed=_number(speed) or 0.0,
+        time=_number(message.get("Time")) or 0.0,
+        move=move,
+        loop=loop,
+        align=align,
+        reset=reset,
     )
 
 

@@ -275,11 +275,35 @@ class GetConf:
 
 
 @dataclass(frozen=True, slots=True)
+class PathOptions:
+    """Waypoints of an object and how it moves along them (WorldController.uc); None: unchanged.
+
+    Attributes:
+        points: Waypoints in the wire's frame [m].
+        speed: Speed [m/s]; 0 when not given.
+        time: Time for the whole path [s]; 0 when not given.
+        move: Whether it moves.
+        loop: Whether the path is closed.
+        align: Whether the object points along it.
+        reset: Whether it returns to its first pose when the points are cleared.
+    """
+
+    points: tuple[Vector, ...] = ()
+    speed: float = 0.0
+    time: float = 0.0
+    move: bool | None = None
+    loop: bool | None = None
+    align: bool | None = None
+    reset: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Control:
     """Control the world: CONTROL of the later versions, for a world controller (WorldController.uc).
 
     Attributes:
-        type: GetSTA, AbsMove, RelMove, Create, Kill, KillAll, or anything else as sent.
+        type: GetSTA, AbsMove, RelMove, Create, Kill, KillAll, SetWP, AddWP, ClearWP, Rotate, or anything
+            else as sent.
         name: Name of an object or a robot, "" when absent.
         class_name: Class of objects, "" when absent.
         location: Position or its change in the wire's frame [m], None when not given.
@@ -289,6 +313,8 @@ class Control:
         physics: Physics of a new object as sent, "" when absent.
         permanent: Whether KillAll leaves a new object.
         corners: Lower and upper corner of what KillAll clears, in the wire's frame [m]; None for all.
+        spin: Changes of roll, pitch and yaw [rad/s], None when not given.
+        path: Waypoints and how to move along them.
     """
 
     type: str
@@ -301,6 +327,8 @@ class Control:
     physics: str = ""
     permanent: bool = False
     corners: tuple[Vector, Vector] | None = None
+    spin: Vector | None = None
+    path: PathOptions = PathOptions()
 
 
 @dataclass(frozen=True, slots=True)

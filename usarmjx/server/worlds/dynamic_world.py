@@ -166,6 +166,7 @@ class DynamicWorld(ServedWorld):
 
     def step(self) -> None:
         """Advance by one control step; robots that diverge return to their spawn poses."""
+        self.advance_objects()
         if self.recorder is not None:
             self.recorder.record_orders(
                 self.scene, [{"command": one.command} for one in self._single.world.groups]

@@ -39,6 +39,7 @@ from usarmjx.server.gamebots.victims import initial_tag_texts
 from usarmjx.server.gamebots.world_objects import CreatedObject
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.viewports import MultiView, ViewBindings
+from usarmjx.server.worlds.object_motion import ObjectMotion
 from usarmjx.server.worlds.robot import Robot, Traces
 from usarmjx.sim.control import CommandUpdate, RobotCommand, update_command
 from usarmjx.sim.operate import NO_NUMBER, OperationResult
@@ -155,6 +156,23 @@ class ServedWorld(ABC):
         return {}
 
     @cached_property
+    def motions(self) -> dict[str, ObjectMotion]:
+        """Motions of loose objects that world controllers have set going, by name in lower case."""
+        return {}
+
+    def advance_objects(self) -> None:
+        """Move the objects that are in motion by a control step."""
+        if not self.motions:
+            return
+        names, poses = [thing.name.lower() for thing in self.scene.arena.loose], self.loose_poses()
+        for name, motion in self.motions.items():
+            index = names.index(name)
+            moved = motion.advance(poses[index], self.period)
+            if moved is not None:
+                (x, y, z), quat = moved[0].tolist(), moved[1]
+                self.move_loose(index, (x, y, z), quat)
+
+    @cached_property
     def recovery_log(self) -> RecoveryLog:
         """Recoveries of its physics."""
         return RecoveryLog()
@@ -242,7 +260,8 @@ class ServedWorld(ABC):
         return np.asarray(self.one_world()[1].qpos, float)[self.scene.loose_geoms.root_qposadr]
 
     def forget(self) -> None:
-        """Remove the robots' marks: traces, and texts on tags."""
+        """Remove the robots' marks, traces and texts on tags, and stop what controllers have set going."""
+        self.motions.clear()
         self.traces.clear()
         self.tag_texts.clear()
         self.tag_texts.update(initial_tag_texts(self.arena))
