@@ -46,6 +46,7 @@ KEYS: dict[str, tuple[dict[str, Any], ...]] = {
     "Lidar": (
         {"VerticalResolution": 0.2, "HorizontalResolution": 0.5, "Dropout": 0.2, "IntensityNoise": 0.1},
     ),
+    "Kinect": ({"VerticalResolution": 0.01, "HorizontalResolution": 0.1},),
     "IMU": ({"ScanInterval": 0.0},),
     "Magnetometer": ({"HardIron": (("X", 3.0), ("Y", -2.0), ("Z", 1.0))},),
     "INS": ({"Drifting": True, "Precision": 10.0}, {"Sigma": 0.0, "ScanInterval": 0.0}),

@@ -42,6 +42,7 @@ KEYS = {
     "RangeScanner": options(Resolution=0.1, MaxRange=20.0, Noise=0.05),
     "IRScanner": options(Resolution=0.1, MaxRange=20.0, Sigma=0.05),
     "RangeScanner3D": options(VerticalResolution=0.2, HorizontalResolution=0.2),
+    "Kinect": options(VerticalResolution=0.01, HorizontalResolution=0.1),
     "INS": options(Drifting=True, Precision=10.0),
     "Odometry": options(LeftTire="", RightTire="", EncoderResolution=0.001),
     "Encoder": options(Resolution=0.001),

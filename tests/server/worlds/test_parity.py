@@ -50,7 +50,7 @@ RANGE = 1e-4
 SHARE, NEAR = 1e-5, 2e-5
 """Other readings: as NumPy's differ from XLA's, which fuses products and sums (tests/sensors/
 test_numpy_backend.py): a share of what is measured, and of positions 10 m from the origin."""
-RANGING = ("Sonar", "RangeScanner", "IRSensor", "IRScanner", "RangeScanner3D", "Lidar")
+RANGING = ("Sonar", "RangeScanner", "IRSensor", "IRScanner", "RangeScanner3D", "Lidar", "LineLaser")
 POWER = 1e-4
 """Single precision of 100 dB is 8e-6; logarithms and normal numbers differ in their last places too [dB]."""
 GROUND = 1e-5
@@ -167,7 +167,8 @@ def test_some_sensors_read_the_same_served_and_batched():
 @pytest.mark.thorough
 @pytest.mark.oracle
 def test_every_sensor_reads_the_same_served_and_batched(both):
-    assert assert_same_readings(both) == {kind for kind, _ in SENSORS}
+    # A depth camera waits for a SCAN; tests/sensors/test_kinect.py has both worlds' strips.
+    assert assert_same_readings(both) == {kind for kind, _ in SENSORS} - {"Kinect"}
 
 
 @pytest.mark.oracle
