@@ -25,6 +25,7 @@ from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorSet
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.server.gamebots.sensors import sensor_report
 from usarmjx.server.protocol.grammar import format_message as line_of
+from usarmjx.server.protocol.reports import sen_objects
 
 FIGURES = (
     "class", "type, steering", "L x W x H [m]", "mass [kg]", "payload [kg]", "top speed [m/s]",
@@ -177,7 +178,10 @@ SECTIONS = {
     "Magnetometer": "ours",
     "Battery": "ours",
     **dict.fromkeys(
-        ("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass", "LineLaser", "Kinect"),
+        (
+            *("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass"),
+            *("LineLaser", "Kinect", "ObjectSensor"),
+        ),
         "later versions",
     ),
 }
@@ -211,6 +215,7 @@ SAMPLES = {
     "MagneticCompass": [1.57],
     "LineLaser": [[4.5, -1.9, 0.3], [0.0, 0.0, -1.57], [5.5, -2.9, 0.3], [4.5, -2.9, 0.3]],
     "Kinect": [12.0, 1.234, 3.0],
+    "ObjectSensor": [3.2, 4.0],
 }
 """Values in our axes, of one mount."""
 SHORT_OPTIONS = {
@@ -219,6 +224,7 @@ SHORT_OPTIONS = {
     "RangeScanner3D": options(
         VerticalFOV=0.2, VerticalResolution=0.2, HorizontalFOV=0.5, HorizontalResolution=0.5
     ),
+    "ObjectSensor": options(Resolution=1.5707, ScanFov=3.1415),
     "Lidar": options(VerticalFOV=0.2, VerticalResolution=0.2, HorizontalFOV=0.5, HorizontalResolution=0.5),
 }
 """Options with which the messages shown are short."""
@@ -267,6 +273,8 @@ def ini_text(values: dict[str, object]) -> str:
 
 def sample_message(kind: str) -> str:
     """Return a message of a type of sensor."""
+    if kind == "ObjectSensor":  # its objects are the world's
+        return line_of(sen_objects(None, kind, [("crate", (1.5, -0.2, -0.1), (0.0, 0.0, 0.3))]))
     (sensor,) = suite_with(kind, SHORT_OPTIONS.get(kind, ())).sensors
     numbers = SAMPLES.get(kind, np.zeros(max(1, total_size(sensor.quantities))))
     message = sensor_report(sensor, np.array(numbers, np.float32), MESSAGE_TIME)

@@ -41,7 +41,7 @@ class KinectSettings(SensorSettings):
     """
 
     with_time_stamp: bool = True
-    scan_interval: Annotated[float, POSITIVE] = 0.2
+    scan_interval: float = 0.2
     min_range: Annotated[float, NOT_NEGATIVE] = 0.1
     max_range: Annotated[float, POSITIVE] = 3.0
     vertical_fov: Annotated[float, HALF_TURN, Setting(manual_key="VerticalFOV")] = 1.0

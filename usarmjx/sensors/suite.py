@@ -32,6 +32,7 @@ from usarmjx.sensors import (
     later,
     line_laser,
     motion,
+    object_sensor,
     power,
     ranging,
     rfid,
@@ -49,7 +50,7 @@ __all__ = ["SENSORS", "SENSOR_MODULES"]
 
 SENSOR_MODULES = (
     *(attitude, co2, gps, human_motion, inertial, kinect, later, line_laser, motion, power, ranging, rfid),
-    *(sound, touch, victim),
+    *(object_sensor, sound, touch, victim),
 )
 """Modules whose import registers sensor types; a new module belongs here."""
 

@@ -34,6 +34,7 @@ from usarmjx.models.compile.compose import (
     remove_loose,
     remove_robot,
 )
+from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.effecters import Opcode, no_dropped_tags
@@ -41,6 +42,7 @@ from usarmjx.models.types.arena import ArenaSpec, LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.cameras.shading import RenderScene
+from usarmjx.sensors.rays.raycast import RayQuery
 from usarmjx.sensors.suite import migrate_memory, suite_of
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.operate import EffecterCommand, OperationResult, operate
@@ -456,6 +458,22 @@ class SingleWorld:
         inputs = sense_self(scene, self.world, self.physics, scene.groups[0])
         own = {name: _row(getattr(inputs, name), 0) for name in ("state", "bodies", "hits")}
         return inputs.replace(**own)
+
+    @property
+    def robots(self) -> Mapping[int, RobotIndex]:
+        """Indices of each robot in the model, by slot."""
+        return self._indices
+
+    @numpy_backend()
+    def met_geoms(self, slot: int, sensor: int) -> np.ndarray:
+        """Return the geoms that the rays of a robot's sensor meet within its range, -1 for none (rays,)."""
+        group, _ = self.scene.group_of(slot)
+        own = self.scene.groups[group].suite.sensors[sensor]
+        rays = own.rays(self.sensor_input(slot).bodies)
+        start, along = (np.asarray(part, np.float64) for part in rays)
+        caster, query = self._caster(), RayQuery(transparent=own.transparent, max_distance=own.max_distance)
+        distance, _, geom = caster.hit_geoms(start, along, query, caster.geoms_of(slot))
+        return np.where(distance <= own.max_distance, geom, -1)
 
     @numpy_backend()
     def operate(self, slot: int, effecter: int, opcode: Opcode, value: float) -> OperationResult:

@@ -43,6 +43,7 @@ SENSOR_TYPES = (
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
     *("IMU", "Magnetometer", "Battery", "Lidar"),
     *("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass", "LineLaser", "Kinect"),
+    "ObjectSensor",
 )
 """Types of sensors; some of them report only on events."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")
@@ -55,6 +56,7 @@ SENSOR_OPCODES: dict[str, tuple[str, ...]] = {
     "irscanner": ("SCAN",),
     "rangescanner3d": ("SCAN",),
     "kinect": ("SCAN",),
+    "objectsensor": ("SCAN",),
     "rfid": ("Read", "Write"),
     "camera": ("Zoom",),
     "joint": JOINT_OPCODES,

@@ -31,7 +31,7 @@ LATER_ITEMS = {
 """Classes of items of the later versions with another name."""
 OWN_KINDS = (
     *("AHRS", "Battery", "MagneticCompass", "Tachometer", "AltitudeSensor", "MissionTime"),
-    *("LineLaser", "Kinect"),
+    *("LineLaser", "Kinect", "ObjectSensor"),
 )
 """Types that the manual has no class of."""
 

@@ -8,10 +8,16 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
+from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.drives.base import RobotState
+from usarmjx.sensors.object_sensor import ObjectSensor
 from usarmjx.server.gamebots.grippers import gripper_reports
 from usarmjx.server.gamebots.sensors import package_report, robot_report, sensor_report
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.grammar import Message
+from usarmjx.server.protocol.reports import sen_objects
 from usarmjx.server.protocol.session import RobotSession
+from usarmjx.server.worlds.met_objects import MetObject
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.control import joint_efforts
@@ -40,6 +46,14 @@ def first_report_time(robot: Robot, others: Iterable[Robot], since: float, perio
         return team if team < MAX_TEAM else 0, -len(together)
 
     return max((since + timer - step * period for step in range(max(1, round(timer / period)))), key=merit)
+
+
+def objects_report(sensor: ObjectSensor, met: Iterable[MetObject], time: float | None) -> Message:
+    """Return the SEN of an object sensor: what its beams meet, in the wire's axes."""
+    objects = [
+        (one.name, flip_wire_vector(one.pos), flip_wire_angles(angles_from_mat(one.mat))) for one in met
+    ]
+    return sen_objects(time, sensor.mounts[0].name, objects)
 
 
 def battery_left(world: ServedWorld, robot: Robot) -> int:
@@ -85,9 +99,14 @@ class Reporter:
         sensor, world = robot.suite.sensors[index], self._world
         try:
             stamped = self._session.dialect.is_stamped
-            message = sensor_report(
-                sensor, reading, world.time, world.arena.gps, world.tag_texts, stamped=stamped
-            )
+            if isinstance(sensor, ObjectSensor):
+                stamped = stamped or sensor.settings[0].with_time_stamp
+                met = world.met_objects(robot, index)
+                message = objects_report(sensor, met, world.time if stamped else None)
+            else:
+                message = sensor_report(
+                    sensor, reading, world.time, world.arena.gps, world.tag_texts, stamped=stamped
+                )
             if message is not None:
                 self._session.send(message)
         except PeerError:

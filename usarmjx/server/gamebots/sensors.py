@@ -204,6 +204,11 @@ def _kinect(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_kinect(time, sensor.mounts[0].name, int(frame), depths)
 
 
+def _no_objects(sensor: Sensor, value: np.ndarray, time: float | None) -> None:
+    """Return no message: only the world knows what the beams meet; see `reporter.objects_report`."""
+    del sensor, value, time
+
+
 def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     touched = [(mount.name, bool(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
     return reports.sen_touch(time, touched)
@@ -231,6 +236,7 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]]
     "AHRS": _ahrs,
     "LineLaser": _line_laser,
     "Kinect": _kinect,
+    "ObjectSensor": _no_objects,
     "Touch": _touch,
     "GPS": _gps,
     **victims.REPORTS,
@@ -270,6 +276,7 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
         ("FOV", "fov"),
         ("Resolution", "beams"),
     ),
+    "ObjectSensor": _SCANNER_FIELDS,
     "Kinect": (*_SCANNER_3D_FIELDS[:-1], ("Fov", "fov")),
     "Touch": (("Diameter", "diameter"),),
     **victims.CONFIGURATION,

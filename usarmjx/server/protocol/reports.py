@@ -315,6 +315,25 @@ def sen_kinect(time: float | None, name: str, frame: int, depths: Iterable[float
     return _sen(_precise(time), "Kinect", ("Name", name), ("Frame", str(frame)), ("Range", texts))
 
 
+def sen_objects(time: float | None, name: str, objects: Iterable[tuple[str, Vector, Vector]]) -> Message:
+    """Return the objects that a scanner's beams meet.
+
+    ObjectSensor.uc has `{Object} {NAME x,y,z r,p,y}`; here it is one pair, as no message has a key without a
+    value.
+
+    Args:
+        time: Simulated time [s].
+        name: The sensor's name.
+        objects: Name, location [m], and roll, pitch and yaw [rad] of each.
+    """
+    segments: list[Segment] = [("Name", name)]
+    for tag, location, rotation in objects:
+        word = "_".join(tag.split()) or "_"
+        pose = f"{two_decimals_list(location)} {two_decimals_list(rotation)}"
+        segments.append(("Object", f"{word} {pose}"))
+    return _sen(_precise(time), "ObjectSensor", *segments)
+
+
 def sen_gps(time: float | None, name: str, position: tuple[float, float] | None, satellites: int) -> Message:
     """Return a position; without one the line has neither latitude nor longitude (GPSSensor.uc).
 

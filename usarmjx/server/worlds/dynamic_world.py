@@ -19,6 +19,7 @@ from usarmjx.recording.inputs import WorldSetup
 from usarmjx.sensors.cameras.picture import Picture
 from usarmjx.sensors.cameras.programs import PicturePrograms
 from usarmjx.sensors.suite import suite_of
+from usarmjx.server.worlds.met_objects import MetObject, met_objects
 from usarmjx.server.worlds.recorded import record_step, single_setup, store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
@@ -192,6 +193,11 @@ class DynamicWorld(ServedWorld):
             for sensor, reading in enumerate(readings[robot.slot]):
                 if reading.fresh:
                     store_reading(self, robot, sensor, np.asarray(reading.value))
+
+    def met_objects(self, robot: Robot, sensor: int) -> list[MetObject]:
+        """Return the objects that the beams of a robot's scanner meet."""
+        names = {slot: one.name for slot, one in self.robots.items()}
+        return met_objects(self._single, robot.slot, sensor, names)
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""

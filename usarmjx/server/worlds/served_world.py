@@ -39,6 +39,7 @@ from usarmjx.server.gamebots.victims import initial_tag_texts
 from usarmjx.server.gamebots.world_objects import CreatedObject
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.viewports import MultiView, ViewBindings
+from usarmjx.server.worlds.met_objects import MetObject
 from usarmjx.server.worlds.object_motion import ObjectMotion
 from usarmjx.server.worlds.robot import Robot, Traces
 from usarmjx.sim.control import CommandUpdate, RobotCommand, update_command
@@ -455,6 +456,15 @@ class ServedWorld(ABC):
             own = self.memory(robot).own if drawn else ()
             overlays += [robot.suite.sensors[index].overlay(own[index]) for index in drawn]
         return jax.device_get(overlays)
+
+    def met_objects(self, robot: Robot, sensor: int) -> list[MetObject]:
+        """Return the objects that the beams of a robot's scanner meet, by the sensor's index.
+
+        Raises:
+            UsageError: The world cannot tell.
+        """
+        del sensor
+        raise UsageError(f"only a single world of engine c knows what {robot.name}'s beams meet")
 
     @abstractmethod
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
