@@ -110,7 +110,7 @@ def test_beyond_its_range_there_are_no_objects_and_other_worlds_do_not_know_any(
     assert answer.endswith("{Status OK}")
     (conf,) = say(client, "GETCONF {Type ObjectSensor}")
     assert "{MaxRange 1.0000}" in conf
-    with pytest.raises(UsageError, match="only a single world of engine c"):
+    with pytest.raises(UsageError, match="no objects for R1: only a single world of engine c"):
         ServedWorld.met_objects(client._world, robot, 0)
 
 

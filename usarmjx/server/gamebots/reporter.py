@@ -51,7 +51,8 @@ def first_report_time(robot: Robot, others: Iterable[Robot], since: float, perio
 def objects_report(sensor: ObjectSensor, met: Iterable[MetObject], time: float | None) -> Message:
     """Return the SEN of an object sensor: what its beams meet, in the wire's axes."""
     objects = [
-        (one.name, flip_wire_vector(one.pos), flip_wire_angles(angles_from_mat(one.mat))) for one in met
+        (one.name, flip_wire_vector(one.pos.tolist()), flip_wire_angles(angles_from_mat(one.mat).tolist()))
+        for one in met
     ]
     return sen_objects(time, sensor.mounts[0].name, objects)
 

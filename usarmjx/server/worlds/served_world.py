@@ -464,7 +464,7 @@ class ServedWorld(ABC):
             UsageError: The world cannot tell.
         """
         del sensor
-        raise UsageError(f"only a single world of engine c knows what {robot.name}'s beams meet")
+        raise UsageError(f"no objects for {robot.name}: only a single world of engine c names them")
 
     @abstractmethod
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
