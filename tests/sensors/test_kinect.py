@@ -21,6 +21,7 @@ from usarmjx.sensors.suite import suite_of
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
+from usarmjx.sim import Batch, build_scene
 
 RANGE_ATOL = 1e-4  # m: single precision over a room
 UNREAL = 65536 / (2 * np.pi)  # Unreal's units of angle in a radian
@@ -117,14 +118,38 @@ def test_a_served_world_sends_a_picture_strip_by_strip():
     bodies = world.bodies(client)
     height = float(bodies.pos[0, 2]) - NOSE[2]
     for frame, strip in enumerate(strips):
-        down = -strip_lines(frame)[:, 2]
-        expected = np.where(down > 0, height / np.maximum(down, 1e-9), np.inf)
         # The robot stands still to within a millimetre, and leans by less than 1e-3 rad.
-        np.testing.assert_allclose(strip[1:], np.minimum(expected, 2.0), rtol=6e-3)
+        np.testing.assert_allclose(strip[1:], floor_depths(frame, height), rtol=6e-3)
     assert (strips[0][1:] < 2.0).any()
     assert told(0.6) == []
     assert world.operate_sensor(client, 0, "SCAN", ())
     assert [strip[0] for strip in told(1.0)] == [0, 1, 2, 3], "another picture"
+
+
+def floor_depths(frame, height):
+    """Depths of a strip above a floor, of a camera that stands level [m]."""
+    down = -strip_lines(frame)[:, 2]
+    return np.minimum(np.where(down > 0, height / np.maximum(down, 1e-9), np.inf), 2.0)
+
+
+def test_worlds_of_a_batch_measure_strips_of_their_own():
+    own = replace(robot(MaxRange=2.0, **SMALL), cameras=(), effecters=())
+    batch = Batch(build_scene(FLAT, [own]), 2, engine="c")
+    state = batch.reset()
+    (team,) = state.worlds.groups
+    armed, numbers = jnp.ones_like(team.memory.armed), jnp.array([[0], [3]], jnp.int32)
+    memory = team.memory.replace(armed=armed, own=(numbers,))
+    state = batch.with_group(state, 0, team.replace(memory=memory))
+    root = batch.scene.groups[0].indices[0].root_qposadr
+    heights = np.asarray(batch.physics(state).qpos)[:, root + 2] - NOSE[2]
+    state, ((reading,),) = batch.observe(state)
+    after = state.worlds.groups[0].memory
+    np.testing.assert_array_equal(after.own[0], [[1], [0]])
+    np.testing.assert_array_equal(after.armed, [[[True]], [[False]]])
+    for world, frame in enumerate((0, 3)):
+        told = np.asarray(reading.value)[world, 0]
+        assert told[0] == frame
+        np.testing.assert_allclose(told[1:], floor_depths(frame, heights[world]), rtol=6e-3)
 
 
 def test_a_client_hears_strips_in_whole_centimetres():
