@@ -8,6 +8,9 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.sensors.suite import suite_of
+from usarmjx.server.gamebots.sensors import configuration, geometry
+from usarmjx.server.protocol.dialects import UDK
+from usarmjx.server.protocol.grammar import format_message
 
 PLACE = "Position=(X=0.2,Y=0,Z=-0.2),Direction=(x=0,y=0,z=0)"
 
@@ -191,6 +194,20 @@ def test_an_encoder_counts_the_wheel_whose_number_is_in_its_name(load):
     joints, signs = encoder._joints
     assert [encoder.plan.parts[1 + joint] for joint in joints] == ["LeftFWheel", "RightRWheel"]
     np.testing.assert_allclose(signs, 1.0, atol=1e-6, err_msg="ahead is positive")
+
+
+def test_a_battery_is_an_item_with_a_place_and_options(load):
+    """The line of P3AT in the later versions' DefaultUSAR.ini."""
+    robot = of(load("[USARBot.P3AT]\n" + part("Battery", "battery")))
+    suite = suite_of(robot)
+    (geo,) = geometry(suite.plan, "Battery", "battery")
+    (line,) = UDK.translate(geo, "P3AT")
+    assert format_message(line) == (
+        "GEO {Type Battery} {Name battery} {Location 0.2000,0.0000,-0.2000}"
+        " {Orientation 0.0000,0.0000,0.0000} {Mount P3AT}"
+    )
+    (conf,) = configuration(robot, suite.sensors, [1.0] * len(robot.cameras), "Battery", "battery")
+    assert format_message(conf).startswith("CONF {Type Battery} {Name battery} {")
 
 
 def test_one_reason_for_several_lines_is_one_warning(load):
