@@ -125,6 +125,7 @@ def test_the_files_that_are_changed_are_valid(name, tmp_path):
 @example(changes=[("flip", 0.640625, 0, 128)])  # a body's name in MJCF that is no UTF-8
 @example(changes=[("number", 0.46875, 0, 1)])  # an inertia in MJCF that is not finite
 @example(changes=[("flip", 0.022, 0, 1)])  # a link in SDF without a name
+@example(changes=[("number", 0.625, 0, 74)])  # a sphere in SDF whose volume no number has
 def test_a_changed_file_loads_or_is_refused_in_one_line(name, changes, tmp_path_factory):
     whole, loader = LOADERS[name]
     path = tmp_path_factory.getbasetemp() / f"fuzzed-{name}"

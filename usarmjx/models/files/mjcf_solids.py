@@ -121,7 +121,7 @@ def volume(model: mujoco.MjModel, geom: int) -> float:
     x, y, z = model.geom_size[geom].tolist()
     volumes = {
         "box": 8 * x * y * z,
-        "sphere": 4 / 3 * np.pi * x**3,
+        "sphere": 4 / 3 * np.pi * x * x * x,  # a power of a large number raises
         "capsule": np.pi * x * x * (2 * y + 4 / 3 * x),
         "cylinder": 2 * np.pi * x * x * y,
         "ellipsoid": 4 / 3 * np.pi * x * y * z,

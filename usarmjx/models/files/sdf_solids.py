@@ -298,7 +298,7 @@ def volume_of(shape: Shape) -> float:
     x, y, z = (*shape.size, 1.0, 1.0)[:3]
     volumes: dict[str, float] = {
         "box": 8 * x * y * z,
-        "sphere": 4 / 3 * np.pi * x**3,
+        "sphere": 4 / 3 * np.pi * x * x * x,  # a power of a large number raises
         "capsule": np.pi * x * x * (2 * y + 4 / 3 * x),
         "cylinder": 2 * np.pi * x * x * y,
         "ellipsoid": 4 / 3 * np.pi * x * y * z,
