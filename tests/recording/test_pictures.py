@@ -149,6 +149,11 @@ def test_bags_have_the_same_pictures(protobuf, bag, exported):
         assert stamp == pytest.approx(time, abs=1e-6)
         assert (other.format, other.header.frame_id) == ("jpeg", "R1/Eye_optical")
         assert other.data.tobytes() == one.data
+    lenses = bag["/R1/Eye/camera_info"]
+    assert [stamp for stamp, _ in lenses] == [stamp for stamp, _ in theirs]
+    lens = lenses[0][1]
+    assert (lens.width, lens.height, lens.header.frame_id) == (*SIZE, "R1/Eye_optical")
+    assert lens.k[0] == lens.k[4] == pytest.approx(SIZE[0] / 2 / math.tan(FOV / 2))
     frames = {one.child_frame_id for _, message in bag["/tf"] for one in message.transforms}
     assert "R1/Eye_optical" in frames
     third = [

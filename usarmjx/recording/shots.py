@@ -29,6 +29,8 @@ class CameraShot:
         camera: Name of the camera.
         pos: Position of the camera in the world [m] (3,).
         quat: Orientation of its optical frame, w first (4,): x to the right in the picture, y down, z ahead.
+        fov: Horizontal field of view [rad].
+        size: Width and height of the picture [pixels].
         jpeg: The picture as a JPEG.
     """
 
@@ -38,6 +40,8 @@ class CameraShot:
     camera: str
     pos: np.ndarray
     quat: np.ndarray
+    fov: float
+    size: tuple[int, int]
     jpeg: bytes
 
     @property

@@ -1,5 +1,7 @@
 """Recordings as bags of ROS 2, read by rosbags and by mcap-ros2-support."""
 
+from xml.etree.ElementTree import fromstring
+
 import numpy as np
 import pytest
 import yaml
@@ -8,12 +10,15 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
-from tests.recording.missions import drive_mission
+from tests.recording.missions import SCOUT, SIDE, drive_mission
 from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import flip_vector
 from usarmjx.cli.app import app
+from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.reader import Recording
 from usarmjx.server.ros2.bag_file import message_definition
 from usarmjx.server.ros2.bags import write_bag
+from usarmjx.server.rosbridge.robot_description import urdf
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +60,68 @@ def test_rosbags_reads_every_message_of_a_bag(bag):
     assert len(scan.ranges) == 32
     frames = {one.child_frame_id for one in seen["/tf"][0][1].transforms}
     assert {"First/base_link", "First/Scanner1"} <= frames
+
+
+def _read(folder):
+    """Messages of the bag of a folder by topic, read by rosbags."""
+    store, found = get_typestore(Stores.ROS2_KILTED), {}
+    with Reader(folder / "m.rosbag2") as reader:
+        for connection, _, data in reader.messages():
+            found.setdefault(connection.topic, []).append(store.deserialize_cdr(data, connection.msgtype))
+    return found
+
+
+def _pose(transform):
+    """Return position (3,) and orientation (3, 3) of a transform."""
+    at, turn = transform.transform.translation, transform.transform.rotation
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    axis = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.array([at.x, at.y, at.z]), np.eye(3) + 2 * w * axis + 2 * axis @ axis
+
+
+def test_points_of_scans_lie_on_the_walls(bag):
+    """Viewers that draw no LaserScan draw the cloud, in the frame that `/tf` places."""
+    found = _read(bag[0])
+    poses = {one.child_frame_id: one for one in found["/tf"][0].transforms}
+    scan, cloud = found["/First/Scanner1"][0], found["/First/Scanner1/points"][0]
+    assert (cloud.header.frame_id, cloud.height, cloud.point_step) == ("First/Scanner1", 1, 12)
+    assert [(one.name, one.offset, one.datatype, one.count) for one in cloud.fields] == [
+        ("x", 0, 7, 1),
+        ("y", 4, 7, 1),
+        ("z", 8, 7, 1),
+    ]
+    points = cloud.data.view("<f4").reshape(cloud.width, 3).astype(float)
+    echoes = scan.ranges[scan.ranges < scan.range_max]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), echoes, rtol=1e-5)
+    for frame in ("First/Scanner1", "First/base_link"):  # the odom frame is the map's in a bag
+        at, mat = _pose(poses[frame])
+        points = points @ mat.T + at
+    inner = SIDE - 0.05  # the room's walls are 0.1 m thick
+    off = np.abs(np.abs(points[:, :2]).max(1) - inner)
+    assert len(points) > 20
+    assert np.median(off) < 0.03, "half the beams meet a wall, with the scanner's noise"
+
+
+def test_parts_have_frames_where_their_class_has_them(bag):
+    found = _read(bag[0])
+    first = {one.child_frame_id: _pose(one) for one in found["/tf"][0].transforms}
+    for part in SCOUT.parts:
+        at, _ = first[f"First/{part.name}"]
+        np.testing.assert_allclose(at, flip_vector(part.at), atol=1e-4)
+    last = [one for message in found["/tf"] for one in message.transforms][-1]
+    assert last.child_frame_id.startswith("Second/")
+
+
+def test_links_of_a_named_robot_are_its_frames():
+    """A viewer without a prefix for frames draws two robots of one class in their places."""
+    root = fromstring(urdf(ROBOTS.get("P2AT"), "R1"))
+    assert root.get("name") == "R1"
+    links = {one.get("name") for one in root.iter("link")}
+    assert {"R1/base_link", "R1/LeftFWheel"} <= links
+    assert all(name.startswith("R1/") for name in links)
+    ends = {one.get("link") for kind in ("parent", "child") for one in root.iter(kind)}
+    assert ends == links
+    assert "LeftFWheel" in {one.get("name") for one in root.iter("joint")}, "as in joint_states"
 
 
 def test_mcap_ros2_reads_the_schemas_of_a_bag(bag):

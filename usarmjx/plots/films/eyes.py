@@ -68,6 +68,8 @@ def _shots(source: RecordingSource, index: int, number: int, period: float) -> I
                         camera=camera.names[0],
                         pos=view.eye,
                         quat=quat if quat[0] >= 0 else -quat,
+                        fov=float(camera.settings[0]["fov"]),
+                        size=SIZE,
                         jpeg=jpeg(QUALITY, scene.render(frame, view)),
                     )
 

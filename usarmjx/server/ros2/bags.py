@@ -12,17 +12,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
-from usarmjx.base.rotations import mat_from_quat, quat_from_mat
 from usarmjx.models.compile.floor_map import floor_map
 from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.recording.shots import CameraShot, recorded_arena
 from usarmjx.server.ros2.bag_file import BagWriter
+from usarmjx.server.ros2.bag_frames import SCANNERS, robot_transforms
 from usarmjx.server.ros2.transport import CLOCK, DEFAULT, LATCHED, SENSOR, Qos
 from usarmjx.server.rosbridge import motion, readings
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.lens import pinhole_info
 from usarmjx.server.rosbridge.motion import MAP, frame_name
 from usarmjx.server.rosbridge.robot_description import urdf
 from usarmjx.server.rosbridge.topics import IMAGE, USUAL_NAMES, occupancy_grid
@@ -32,9 +32,8 @@ from usarmjx.view.drawing import Drawing, DrawnMount, DrawnRobot, Frame, RobotFr
 ROS2 = RosVersion.ROS2
 RADIATION = {"Sonar": readings.ULTRASOUND, "IR": readings.INFRARED}
 """Radiation of the sensors that are a Range, by their types on the wire."""
-SCANNERS = ("RangeScanner", "IRScanner")
 POSES = ("Odometry", "INS", "GroundTruth")
-"""Types on the wire of scanners, and of sensors that estimate a pose."""
+"""Types on the wire of sensors that estimate a pose."""
 
 
 class BagMessage(NamedTuple):
@@ -102,6 +101,8 @@ def _of_shot(shot: CameraShot) -> Iterator[BagMessage]:
     yield BagMessage("/tf", "tf2_msgs/TFMessage", {"transforms": [where]}, DEFAULT)
     picture = {"header": ROS2.header(shot.time, frame), "format": "jpeg", "data": shot.jpeg}
     yield BagMessage(f"/{robot}/{camera}/compressed", IMAGE, picture, SENSOR)
+    info = pinhole_info(ROS2, shot.time, frame, shot.fov, shot.size)
+    yield BagMessage(f"/{robot}/{camera}/camera_info", "sensor_msgs/CameraInfo", info, SENSOR)
 
 
 def _constant(drawing: Drawing) -> Iterator[BagMessage]:
@@ -111,7 +112,7 @@ def _constant(drawing: Drawing) -> Iterator[BagMessage]:
     yield BagMessage("/tf_static", "tf2_msgs/TFMessage", {"transforms": fixed}, LATCHED)
     for name, robot in zip(names, drawing.robots.values(), strict=True):
         if robot.robot in ROBOTS:
-            text = {"data": urdf(ROBOTS.get(robot.robot))}
+            text = {"data": urdf(ROBOTS.get(robot.robot), name)}
             yield BagMessage(f"/{name}/robot_description", "std_msgs/String", text, LATCHED)
 
 
@@ -129,8 +130,7 @@ def _of_frame(frame: Frame, drawing: Drawing) -> Iterator[BagMessage]:
         drawn = drawing.robots[slot]
         name, time = frame_name(drawn.name), frame.time
         state: Any = robot  # poses and velocities have the same names as a RobotState's
-        transforms.append(motion.base_transform(ROS2, time, name, true_estimate(state)))
-        transforms += _mounts(frame, drawn, name)
+        transforms += robot_transforms(frame, drawing, slot)
         odom = motion.odometry(ROS2, time, name, true_estimate(state))
         yield BagMessage(f"/{name}/odom", "nav_msgs/Odometry", odom, DEFAULT)
         joints = _joints(time, drawn, robot)
@@ -150,23 +150,6 @@ def _joints(time: float, drawn: DrawnRobot, robot: RobotFrame) -> RosMessage:
     }
 
 
-def _mounts(frame: Frame, drawn: DrawnRobot, name: str) -> Iterator[RosMessage]:
-    """Yield the transforms of a robot's sensors from it."""
-    with numpy_backend():
-        mats = np.asarray(mat_from_quat(frame.quat), float)
-        for mount in drawn.sensors:
-            upright = mount.kind in SCANNERS and bool(mount.settings[0].get("pitch"))
-            for index, title in enumerate(mount.names):
-                body = int(mount.body[index])
-                at = frame.pos[body] + mats[body] @ mount.pos[index]
-                mat = mats[body] @ mount.mat[index] @ (motion.UPRIGHT if upright else np.eye(3))
-                base = mats[drawn.body]
-                pose = base.T @ (at - frame.pos[drawn.body]), quat_from_mat(base.T @ mat)
-                yield motion.transform(
-                    ROS2, frame.time, f"{name}/base_link", f"{name}/{frame_name(title)}", pose
-                )
-
-
 def _of_readings(time: float, content: dict[str, Any], drawing: Drawing) -> Iterator[BagMessage]:
     usual: set[str] = set()
     slots: tuple[int, ...] = content["slots"]
@@ -179,6 +162,9 @@ def _of_readings(time: float, content: dict[str, Any], drawing: Drawing) -> Iter
         mount = robot.sensors[sensor]
         for below, kind, message in _reading(time, name, mount, np.asarray(value)):
             yield BagMessage(f"/{name}/{below}", kind, message, SENSOR)
+            if kind == "sensor_msgs/LaserScan":  # some viewers draw clouds only
+                points = readings.scan_points(message)
+                yield BagMessage(f"/{name}/{below}/points", "sensor_msgs/PointCloud2", points, SENSOR)
             alias = f"/{name}/{USUAL_NAMES.get(kind)}"
             is_first = sensor == _first_of(robot, mount.kind)
             if kind in USUAL_NAMES and is_first and alias not in usual:

@@ -155,6 +155,23 @@ SHARED: dict[str, MessageFields] = {
         "step": "uint32",
         "data": "uint8[]",
     },
+    "sensor_msgs/PointField": {
+        "name": "string",
+        "offset": "uint32",
+        "datatype": "uint8",
+        "count": "uint32",
+    },
+    "sensor_msgs/PointCloud2": {
+        "header": "std_msgs/Header",
+        "height": "uint32",
+        "width": "uint32",
+        "fields": "sensor_msgs/PointField[]",
+        "is_bigendian": "bool",
+        "point_step": "uint32",
+        "row_step": "uint32",
+        "data": "uint8[]",
+        "is_dense": "bool",
+    },
     "sensor_msgs/RegionOfInterest": {
         "x_offset": "uint32",
         "y_offset": "uint32",

@@ -25,15 +25,37 @@ def camera_info(
         fov: Its horizontal field of view now [rad].
         size: Width and height of its pictures [pixels].
     """
+    name = optical_name(f"{robot}/{frame_name(camera.mount.name)}")
+    bent = camera.imaging.distortion
+    k1, k2 = (0.0, 0.0) if bent is None else (float(one) for one in bent)
+    return pinhole_info(version, time, name, fov, size, (k1, k2))
+
+
+def pinhole_info(
+    version: RosVersion,
+    time: float,
+    frame: str,
+    fov: float,
+    size: tuple[int, int],
+    distortion: tuple[float, float] = (0.0, 0.0),
+) -> RosMessage:
+    """Return the CameraInfo of a pinhole.
+
+    Args:
+        version: Version of its field names.
+        time: Simulated time [s].
+        frame: Name of the optical frame.
+        fov: Its horizontal field of view [rad].
+        size: Width and height of its pictures [pixels].
+        distortion: k1 and k2 of a plumb bob.
+    """
     width, height = size
     focal = width / 2 / math.tan(fov / 2)
     # ROS counts pixels by their centres: the first is 0, so the picture's centre is half a pixel short of
     # half its side.
     across, down = (width - 1) / 2, (height - 1) / 2
-    bent = camera.imaging.distortion
-    k1, k2 = (0.0, 0.0) if bent is None else (float(one) for one in bent)
     lens = {
-        "d": [k1, k2, 0.0, 0.0, 0.0],
+        "d": [*distortion, 0.0, 0.0, 0.0],
         "k": [focal, 0.0, across, 0.0, focal, down, 0.0, 0.0, 1.0],
         "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         "p": [focal, 0.0, across, 0.0, 0.0, focal, down, 0.0, 0.0, 0.0, 1.0, 0.0],
@@ -41,7 +63,7 @@ def camera_info(
     if version == RosVersion.ROS1:
         lens = {name.upper(): values for name, values in lens.items()}
     return {
-        "header": version.header(time, optical_name(f"{robot}/{frame_name(camera.mount.name)}")),
+        "header": version.header(time, frame),
         "height": height,
         "width": width,
         "distortion_model": "plumb_bob",

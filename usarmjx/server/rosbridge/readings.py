@@ -19,6 +19,8 @@ from usarmjx.server.rosbridge.motion import MAP, UNKNOWN, frame_name, pose_of_an
 
 ULTRASOUND, INFRARED = 0, 1
 """Values of Range's radiation_type."""
+FLOAT32 = 7
+"""PointField's number of the type."""
 NO_FIX, FIX, SERVICE_GPS, APPROXIMATED = -1, 0, 1, 1
 """NavSatStatus's status and service, and NavSatFix's position_covariance_type."""
 
@@ -82,6 +84,29 @@ def scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np
         "range_max": settings.max_range,
         "ranges": np.asarray(ranges, float).tolist(),
         "intensities": [],
+    }
+
+
+def scan_points(scan: RosMessage) -> RosMessage:
+    """Return the echoes of a LaserScan as a PointCloud2 in its frame, without the beams that met nothing."""
+    ranges = np.asarray(scan["ranges"], float)
+    angles = scan["angle_min"] + np.arange(len(ranges)) * scan["angle_increment"]
+    points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))], -1)
+    points = points[ranges < scan["range_max"]].astype("<f4")
+    step = points.itemsize * 3
+    return {
+        "header": scan["header"],
+        "height": 1,
+        "width": len(points),
+        "fields": [
+            {"name": name, "offset": index * points.itemsize, "datatype": FLOAT32, "count": 1}
+            for index, name in enumerate("xyz")
+        ],
+        "is_bigendian": False,
+        "point_step": step,
+        "row_step": step * len(points),
+        "data": points.tobytes(),
+        "is_dense": True,
     }
 
 

@@ -18,13 +18,19 @@ UNMEASURED = 1000.0
 
 
 @cache
-def urdf(robot: RobotSpec) -> str:
-    """Return the URDF of a robot class: its looks and solids, without masses."""
-    root = Element("robot", name=frame_name(robot.name))
-    _add_link(root, BASE, robot.looks or chassis_shapes(robot), chassis_shapes(robot))
+def urdf(robot: RobotSpec, name: str | None = None) -> str:
+    """Return the URDF of a robot class: its looks and solids, without masses.
+
+    Args:
+        robot: The class.
+        name: Name of a robot; its links are named as its frames then, `R1/base_link`. None: of any robot.
+    """
+    root = Element("robot", name=frame_name(robot.name) if name is None else name)
+    above = "" if name is None else f"{name}/"
+    _add_link(root, above + BASE, robot.looks or chassis_shapes(robot), chassis_shapes(robot))
     for part in parts_of(robot):
-        _add_link(root, frame_name(part.name), part.looks or part.shapes, part.shapes)
-        _add_joint(root, part)
+        _add_link(root, above + frame_name(part.name), part.looks or part.shapes, part.shapes)
+        _add_joint(root, part, above)
     indent(root)
     return '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode")
 
@@ -61,12 +67,12 @@ def _geometry(shape: Shape) -> tuple[str, dict[str, str]] | None:
     return None
 
 
-def _add_joint(root: Element, part: Part) -> None:
+def _add_joint(root: Element, part: Part, above: str) -> None:
     slides, limited = part.joint == "slide", part.limits is not None
     kind = "prismatic" if slides else "revolute" if limited else "continuous"
     joint = SubElement(root, "joint", name=part.name, type=kind)
-    SubElement(joint, "parent", link=BASE if part.parent == CHASSIS else frame_name(part.parent))
-    SubElement(joint, "child", link=frame_name(part.name))
+    SubElement(joint, "parent", link=above + (BASE if part.parent == CHASSIS else frame_name(part.parent)))
+    SubElement(joint, "child", link=above + frame_name(part.name))
     _add_origin(joint, part.at, part.rotation)
     SubElement(joint, "axis", xyz=_numbers(flip_vector(part.axis)))
     if slides or limited:
