@@ -85,7 +85,7 @@ ONE_LINE = {
     "robot export P2AT --out x.obj": "known: mjcf, urdf, sdf",
     "robot export P2AT --out x.urdf --format usd": "known: mjcf, urdf, sdf",
     "arena export yelow --out x.xml": "did you mean 'yellow'?",
-    "arena export yellow --out x.txt": "an arena is written as .xml",
+    "arena export yellow --out x.txt": "an arena is exported as .xml, .urdf, .sdf, .world",
     "arena generate --yaml x.txt": "an arena is written as .yaml",
     "arena lane stair": "did you mean 'stairs'?",
     "arena lane stairs --speed 2": "above 0 and up to 1",

@@ -68,18 +68,23 @@ def draw(
 @app.command()
 def export(
     arena: ArenaArgument,
-    out: Annotated[Path, typer.Option(help="MJCF file to write, .xml.")],
+    out: Annotated[
+        Path,
+        typer.Option(help="File to write: .xml (MJCF), .sdf, .world or .urdf; meshes are written beside it."),
+    ],
     packages: PackagesOption = None,
 ) -> None:
-    """Write an arena as one MJCF file, for MuJoCo and its tools."""
+    """Write an arena as MJCF, SDF or URDF, with the solids, masses and hinges that it has here."""
     with ErrorExit():
-        _check_outputs(None, out)
         announce(f"building arena {arena} ...")
-        from usarmjx.models.files.arena_export import export_arena
+        from usarmjx.models.files.arena_export import check_suffix, export_arena
         from usarmjx.models.files.load import find_arena
 
-        export_arena(find_arena(arena), out)
-        typer.echo(f"wrote {out}")
+        check_suffix(out)
+        result = export_arena(find_arena(arena), out)
+        for note in result.notes:
+            typer.echo(f"note: {note}", err=True)
+        typer.echo(f"wrote {', '.join(map(str, result.files))}")
 
 
 @app.command()

@@ -114,7 +114,7 @@ def triangles_of(model: mujoco.MjModel, geom: int, *, hull: bool = False) -> Fra
     """
     data = int(model.geom_dataid[geom])
     if int(model.geom_type[geom]) == HFIELD:
-        return triangle_frames(_terrain_faces(*terrain_grid(model, data), model.hfield_size[data]))
+        return triangle_frames(terrain_faces(*terrain_grid(model, data), model.hfield_size[data]))
     first, count = model.mesh_vertadr[data], model.mesh_vertnum[data]
     faces = model.mesh_face[model.mesh_faceadr[data] :][: model.mesh_facenum[data]]
     corners = model.mesh_vert[first : first + count].astype(float)
@@ -172,7 +172,7 @@ def terrain_grid(model: mujoco.MjModel, data: int) -> tuple[np.ndarray, np.ndarr
     )
 
 
-def _terrain_faces(x: np.ndarray, y: np.ndarray, z: np.ndarray, size: np.ndarray) -> np.ndarray:
+def terrain_faces(x: np.ndarray, y: np.ndarray, z: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Return the corners (n, 3, 3) of a terrain's triangles: its surface, its four sides and its bottom."""
     grid = np.stack([*np.meshgrid(x, y), z], -1)
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]

@@ -2,15 +2,23 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import atomic_write
 from usarmjx.models.compile.compose import add_robot
+from usarmjx.models.files.export_pieces import (
+    ExportResult,
+    add_child,
+    add_pose,
+    ellipsoid_corners,
+    rpy_of,
+    stl_of_hull,
+    text_of,
+    write_file,
+)
 from usarmjx.models.files.mjcf_solids import Pose, mat_of
 from usarmjx.models.types.robot import RobotSpec
 
@@ -20,21 +28,6 @@ SUFFIXES = {"mjcf": ".xml", "urdf": ".urdf", "sdf": ".sdf"}
 """Suffix of a file of each format."""
 NO_LIMIT = 1e16
 """Limit of a joint without one, as SDF has it."""
-ELLIPSOID_SIDES = 16
-"""Corners around an ellipsoid, which URDF has as a mesh only."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportResult:
-    """An exported robot.
-
-    Attributes:
-        files: The files, the robot's first.
-        notes: Content that the format has no place for, in words.
-    """
-
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
 
 
 def export_robot(robot: RobotSpec, path: Path, form: str) -> ExportResult:
@@ -59,32 +52,14 @@ def export_robot(robot: RobotSpec, path: Path, form: str) -> ExportResult:
     model = spec.compile()
     notes = ["sensors, cameras and effecters are left out"] if robot.sensors or robot.cameras else []
     if form == "mjcf":
-        _write(path, spec.to_xml().encode())
+        write_file(path, spec.to_xml().encode())
         return ExportResult(files=(path,), notes=tuple(notes))
     writer = _ModelWriter(model, robot, path)
     root = writer.urdf() if form == "urdf" else writer.sdf()
     ET.indent(root)
-    _write(path, ET.tostring(root, encoding="utf-8", xml_declaration=True))
+    write_file(path, ET.tostring(root, encoding="utf-8", xml_declaration=True))
     notes += writer.notes
     return ExportResult(files=(path, *writer.files), notes=tuple(notes))
-
-
-def _write(path: Path, data: bytes) -> None:
-    with atomic_write(path) as fresh:
-        fresh.write_bytes(data)
-
-
-def _text(values: object) -> str:
-    """Return numbers with as many digits as they need to be read back equal."""
-    return " ".join(repr(float(value)) for value in np.atleast_1d(np.asarray(values, float)))
-
-
-def rpy_of(mat: np.ndarray) -> np.ndarray:
-    """Return roll, pitch, yaw (3,) of a rotation (3, 3): turns about fixed x, y, z, as in URDF and SDF."""
-    pitch = np.arctan2(-mat[2, 0], np.hypot(mat[0, 0], mat[1, 0]))
-    if np.hypot(mat[0, 0], mat[1, 0]) < 1e-9:  # gimbal lock: roll and yaw are one rotation
-        return np.array([np.arctan2(-mat[1, 2], mat[1, 1]), pitch, 0.0])
-    return np.array([np.arctan2(mat[2, 1], mat[2, 2]), pitch, np.arctan2(mat[1, 0], mat[0, 0])])
 
 
 class _ModelWriter:
@@ -126,7 +101,7 @@ class _ModelWriter:
         model = ET.SubElement(root, "model", name=self._robot.name)
         for body in range(1, self._model.nbody):
             link = ET.SubElement(model, "link", name=self._sdf_link(body))
-            _sdf_pose(link, self._pose(body))
+            add_pose(link, self._pose(body))
             self._sdf_inertial(link, body)
             for geom in self._geoms(body):
                 self._sdf_geom(link, geom)
@@ -158,10 +133,10 @@ class _ModelWriter:
 
     def _urdf_inertial(self, link: ET.Element, body: int) -> None:
         inertial = ET.SubElement(link, "inertial")
-        ET.SubElement(inertial, "origin", xyz=_text(self._model.body_ipos[body]), rpy="0 0 0")
-        ET.SubElement(inertial, "mass", value=_text(self._model.body_mass[body]))
+        ET.SubElement(inertial, "origin", xyz=text_of(self._model.body_ipos[body]), rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=text_of(self._model.body_mass[body]))
         keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        moments = {key: _text(value) for key, value in zip(keys, self._tensor(body), strict=True)}
+        moments = {key: text_of(value) for key, value in zip(keys, self._tensor(body), strict=True)}
         ET.SubElement(inertial, "inertia", moments)
 
     def _urdf_geom(self, link: ET.Element, geom: int) -> None:
@@ -169,11 +144,11 @@ class _ModelWriter:
         for pose, tag, attributes in self._urdf_forms(geom):
             for role in self._roles(geom):
                 solid = ET.SubElement(link, role)
-                ET.SubElement(solid, "origin", xyz=_text(pose.pos), rpy=_text(rpy_of(pose.mat)))
+                ET.SubElement(solid, "origin", xyz=text_of(pose.pos), rpy=text_of(rpy_of(pose.mat)))
                 ET.SubElement(ET.SubElement(solid, "geometry"), tag, attributes)
                 if role == "visual":
                     material = ET.SubElement(solid, "material", name=f"colour {geom}")
-                    ET.SubElement(material, "color", rgba=_text(self._model.geom_rgba[geom].round(4)))
+                    ET.SubElement(material, "color", rgba=text_of(self._model.geom_rgba[geom].round(4)))
 
     def _roles(self, geom: int) -> tuple[str, ...]:
         touches = self._model.geom_contype[geom] or self._model.geom_conaffinity[geom]
@@ -185,15 +160,15 @@ class _ModelWriter:
         pose = Pose(model.geom_pos[geom], mat_of(model.geom_quat[geom]))
         kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
         if kind == kinds.mjGEOM_BOX:
-            yield pose, "box", {"size": _text(2 * size)}
+            yield pose, "box", {"size": text_of(2 * size)}
         elif kind == kinds.mjGEOM_SPHERE:
-            yield pose, "sphere", {"radius": _text(size[0])}
+            yield pose, "sphere", {"radius": text_of(size[0])}
         elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
-            yield pose, "cylinder", {"radius": _text(size[0]), "length": _text(2 * size[1])}
+            yield pose, "cylinder", {"radius": text_of(size[0]), "length": text_of(2 * size[1])}
             if kind == kinds.mjGEOM_CAPSULE:
                 for end in (1, -1):
                     tip = Pose(pose.pos + pose.mat[:, 2] * end * size[1], pose.mat)
-                    yield tip, "sphere", {"radius": _text(size[0])}
+                    yield tip, "sphere", {"radius": text_of(size[0])}
         else:
             yield pose, "mesh", {"filename": self._mesh(geom)}
 
@@ -207,10 +182,10 @@ class _ModelWriter:
                 first, count = int(model.mesh_vertadr[key]), int(model.mesh_vertnum[key])
                 corners = model.mesh_vert[first : first + count].astype(float)
             else:
-                corners = _ellipsoid(model.geom_size[geom])
+                corners = ellipsoid_corners(model.geom_size[geom])
                 self.notes.append(f"{model.geom(geom).name}: an ellipsoid is a mesh in URDF")
             path = self._path.with_name(f"{self._path.stem}-mesh-{len(self._meshes) + 1}.stl")
-            _write(path, stl_of_hull(corners))
+            write_file(path, stl_of_hull(corners))
             self.files.append(path)
             self._meshes[key] = path.name
         return self._meshes[key]
@@ -228,20 +203,20 @@ class _ModelWriter:
         ET.SubElement(joint, "parent", link=self._name(parent))
         ET.SubElement(joint, "child", link=self._name(body))
         turn = rpy_of(mat_of(model.body_quat[body]))
-        ET.SubElement(joint, "origin", xyz=_text(model.body_pos[body]), rpy=_text(turn))
+        ET.SubElement(joint, "origin", xyz=text_of(model.body_pos[body]), rpy=text_of(turn))
         if not moves:
             return
-        ET.SubElement(joint, "axis", xyz=_text(model.jnt_axis[number]))
+        ET.SubElement(joint, "axis", xyz=text_of(model.jnt_axis[number]))
         effort, speed = self._limits(name)
-        limit = {"effort": _text(effort), "velocity": _text(speed)}
+        limit = {"effort": text_of(effort), "velocity": text_of(speed)}
         if kind != "continuous":
             low, high = model.jnt_range[number] if model.jnt_limited[number] else (-NO_LIMIT, NO_LIMIT)
-            limit = {"lower": _text(low), "upper": _text(high), **limit}
+            limit = {"lower": text_of(low), "upper": text_of(high), **limit}
         ET.SubElement(joint, "limit", limit)
         damping = float(model.dof_damping[model.jnt_dofadr[number]])
-        ET.SubElement(joint, "dynamics", damping=_text(damping))
+        ET.SubElement(joint, "dynamics", damping=text_of(damping))
         if (gear := self._gears.get(name)) is not None and gear.geared is not None:
-            ratio, offset = _text(gear.gear_ratio), _text(gear.gear_offset)
+            ratio, offset = text_of(gear.gear_ratio), text_of(gear.gear_offset)
             ET.SubElement(joint, "mimic", joint=gear.geared, multiplier=ratio, offset=offset)
 
     def _limits(self, name: str) -> tuple[float, float]:
@@ -251,36 +226,36 @@ class _ModelWriter:
 
     def _sdf_inertial(self, link: ET.Element, body: int) -> None:
         inertial = ET.SubElement(link, "inertial")
-        _sdf_pose(inertial, Pose(self._model.body_ipos[body], np.eye(3)))
-        _child(inertial, "mass", self._model.body_mass[body])
+        add_pose(inertial, Pose(self._model.body_ipos[body], np.eye(3)))
+        add_child(inertial, "mass", self._model.body_mass[body])
         inertia = ET.SubElement(inertial, "inertia")
         for key, value in zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), self._tensor(body), strict=True):
-            _child(inertia, key, value)
+            add_child(inertia, key, value)
 
     def _sdf_geom(self, link: ET.Element, geom: int) -> None:
         model, kinds = self._model, mujoco.mjtGeom
         kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
         for role in self._roles(geom):
             solid = ET.SubElement(link, role, name=f"{role} {geom}")
-            _sdf_pose(solid, Pose(model.geom_pos[geom], mat_of(model.geom_quat[geom])))
+            add_pose(solid, Pose(model.geom_pos[geom], mat_of(model.geom_quat[geom])))
             geometry = ET.SubElement(solid, "geometry")
             if kind == kinds.mjGEOM_BOX:
-                _child(ET.SubElement(geometry, "box"), "size", 2 * size)
+                add_child(ET.SubElement(geometry, "box"), "size", 2 * size)
             elif kind == kinds.mjGEOM_SPHERE:
-                _child(ET.SubElement(geometry, "sphere"), "radius", size[0])
+                add_child(ET.SubElement(geometry, "sphere"), "radius", size[0])
             elif kind == kinds.mjGEOM_ELLIPSOID:
-                _child(ET.SubElement(geometry, "ellipsoid"), "radii", size)
+                add_child(ET.SubElement(geometry, "ellipsoid"), "radii", size)
             elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
                 tag = "cylinder" if kind == kinds.mjGEOM_CYLINDER else "capsule"
                 form = ET.SubElement(geometry, tag)
-                _child(form, "radius", size[0])
-                _child(form, "length", 2 * size[1])
+                add_child(form, "radius", size[0])
+                add_child(form, "length", 2 * size[1])
             else:
                 ET.SubElement(ET.SubElement(geometry, "mesh"), "uri").text = self._mesh(geom)
             if role == "visual":
                 material = ET.SubElement(solid, "material")
                 for tag in ("ambient", "diffuse"):
-                    _child(material, tag, model.geom_rgba[geom].round(4))
+                    add_child(material, tag, model.geom_rgba[geom].round(4))
 
     def _sdf_joint(self, root: ET.Element, body: int) -> None:
         model, number = self._model, int(self._model.body_jntadr[body])
@@ -296,7 +271,7 @@ class _ModelWriter:
             return
         axis = ET.SubElement(joint, "axis")
         xyz = ET.SubElement(axis, "xyz")
-        xyz.text = _text(model.jnt_axis[number])
+        xyz.text = text_of(model.jnt_axis[number])
         if (gear := self._gears.get(name)) is not None and gear.geared is not None:
             mimic = ET.SubElement(xyz, "mimic", joint=gear.geared)
             for tag, value in (
@@ -304,40 +279,10 @@ class _ModelWriter:
                 ("offset", gear.gear_offset),
                 ("reference", 0),
             ):
-                _child(mimic, tag, value)
+                add_child(mimic, tag, value)
         limit = ET.SubElement(axis, "limit")
         low, high = model.jnt_range[number] if model.jnt_limited[number] else (-NO_LIMIT, NO_LIMIT)
         effort, speed = self._limits(name)
         for tag, value in (("lower", low), ("upper", high), ("effort", effort), ("velocity", speed)):
-            _child(limit, tag, value)
-        _child(ET.SubElement(axis, "dynamics"), "damping", model.dof_damping[model.jnt_dofadr[number]])
-
-
-def _child(parent: ET.Element, tag: str, values: object) -> None:
-    ET.SubElement(parent, tag).text = _text(values)
-
-
-def _sdf_pose(parent: ET.Element, pose: Pose) -> None:
-    _child(parent, "pose", [*pose.pos, *rpy_of(pose.mat)])
-
-
-def _ellipsoid(radii: np.ndarray) -> np.ndarray:
-    """Return corners on an ellipsoid (n, 3), its six ends among them."""
-    turn = np.arange(ELLIPSOID_SIDES) * 2 * np.pi / ELLIPSOID_SIDES
-    up = np.linspace(-np.pi / 2, np.pi / 2, ELLIPSOID_SIDES // 2 + 1)[:, None]
-    x, y, z = np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up) + 0 * turn
-    return np.unique(np.stack([x, y, z], -1).reshape(-1, 3).round(12), axis=0) * radii
-
-
-def stl_of_hull(corners: np.ndarray) -> bytes:
-    """Return the convex hull of corners (n, 3) as a binary STL file, its faces outwards."""
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(corners)
-    faces = corners[hull.simplices]
-    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    inwards = (normal * hull.equations[:, :3]).sum(1) < 0
-    faces[inwards] = faces[inwards][:, ::-1]
-    facets = np.zeros(len(faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
-    facets["normal"], facets["corners"] = hull.equations[:, :3], faces
-    return b"usarmjx".ljust(80, b"\0") + len(faces).to_bytes(4, "little") + facets.tobytes()
+            add_child(limit, tag, value)
+        add_child(ET.SubElement(axis, "dynamics"), "damping", model.dof_damping[model.jnt_dofadr[number]])

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.rotations import mat_from_quat, quat_from_mat
+from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.rosbridge import motion
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
