@@ -172,6 +172,32 @@ def bag(request, tmp_path):
     return path
 
 
+def test_transforms_of_bags_from_before_tf2_are_read(tmp_path):
+    """ROS 1 had the type tf/tfMessage, and a slash before frames' names."""
+    store = rosbags.get_typestore(rosbags.Stores.ROS1_NOETIC)
+    kind = "tf/msg/tfMessage"
+    store.register(rosbags.get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    types = store.types
+    where = types["geometry_msgs/msg/Transform"](
+        translation=types["geometry_msgs/msg/Vector3"](x=0.2, y=0.0, z=0.3),
+        rotation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    one = types["geometry_msgs/msg/TransformStamped"](
+        header=header(types, "/robot_0/base_footprint"), child_frame_id="/hokuyo", transform=where
+    )
+    with Writer1(tmp_path / "old.bag") as file:
+        connection = file.add_connection("/tf", kind, typestore=store)
+        file.write(connection, SECOND, store.serialize_ros1(types[kind](transforms=[one]), kind))
+    (found,) = read_bag(tmp_path / "old.bag")
+    (transform,) = found.value["transforms"]
+    assert (found.topic, found.schema) == ("/bag/tf", "foxglove.FrameTransforms")
+    assert (transform["parent_frame_id"], transform["child_frame_id"]) == (
+        "bag/robot_0/base_footprint",
+        "bag/hokuyo",
+    )
+    assert transform["translation"] == {"x": 0.2, "y": 0.0, "z": 0.3}
+
+
 def test_odometry_and_scans_of_bags_are_read(bag):
     odometry, scan = read_bag(bag, 5 * SECOND)
     assert (odometry.time, odometry.topic, odometry.schema) == (

@@ -142,6 +142,7 @@ Converter = tuple[str, Callable[[Any, int], dict[str, Any]]]
 CONVERTERS: dict[str, Converter] = {
     "nav_msgs/msg/Odometry": ("foxglove.FrameTransforms", _from_odometry),
     "tf2_msgs/msg/TFMessage": ("foxglove.FrameTransforms", _from_transforms),
+    "tf/msg/tfMessage": ("foxglove.FrameTransforms", _from_transforms),  # of ROS 1 before 2014
     "sensor_msgs/msg/LaserScan": ("foxglove.LaserScan", _from_scan),
 }
 """Foxglove's schema and the converter of each type of ROS' messages."""
