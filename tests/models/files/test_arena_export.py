@@ -110,6 +110,22 @@ def test_terrain_becomes_a_closed_mesh(tmp_path):
     assert "terrain is a mesh, 1 times" in result.notes
 
 
+@pytest.mark.oracle
+def test_gentle_terrain_keeps_its_heights_in_our_reader(tmp_path):
+    """Faces that differ by a degree or two are not one plane."""
+    x, y = np.meshgrid(np.linspace(-6, 6, 13), np.linspace(-6, 6, 13))
+    heights = 0.4 + 0.15 * np.sin(x / 2) + 0.1 * np.cos(y / 3)
+    hill = Shape(kind="hfield", size=(6.0, 6.0, 0.3), heights=HeightField(heights), surface="ground")
+    arena = room(hill, has_floor=False)
+    export_arena(arena, tmp_path / "out.sdf")
+    again = load_arena(tmp_path / "out.sdf")
+    places = np.random.default_rng(4).uniform(-5.9, 5.9, (RAYS, 2))
+    points = np.column_stack([places, np.full(RAYS, 2.0)])
+    down = np.tile((0.0, 0.0, -1.0), (RAYS, 1))
+    found = [distances(*composed(one), points, down) for one in (arena, again)]
+    np.testing.assert_allclose(found[1], found[0], atol=2 * MILLIMETRE)  # FLATNESS, and of its mean
+
+
 def test_a_mesh_is_touched_as_its_hull_and_seen_as_its_faces(tmp_path):
     arena = room(
         Shape(kind="mesh", mesh=SEEN, surface="wall"),

@@ -1,5 +1,6 @@
 """Surfaces of meshes that are no convex solids, as thin plates: buildings, which have an inside."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ PLATE_THICKNESS = 0.02
 """Thickness of a plate, inwards of its face [m]: a robot at 2 m/s moves a fifth of it in a step."""
 MIN_PLATE_AREA = 1e-6
 """Area below which a face is left out [m2]."""
+FLATNESS = 1e-3
+"""Largest distance of faces that are joined from the plane of the largest of them [m]."""
 
 
 Plate = tuple[Mesh, np.ndarray]
@@ -21,13 +24,47 @@ def surface_plates(mesh: Any) -> list[Plate]:  # noqa: ANN401 - trimesh.Trimesh
     """Return a mesh's faces as convex plates; faces in one plane that touch are joined if that is convex."""
     plates: list[Plate] = []
     joined = np.zeros(len(mesh.faces), bool)
+    beside: dict[int, list[int]] = {}
+    for one, other in np.asarray(mesh.face_adjacency).tolist():
+        beside.setdefault(one, []).append(other)
+        beside.setdefault(other, []).append(one)
     for facet in mesh.facets:
-        faces = np.asarray(facet)
-        joined[faces] = True
-        plates += _of_plane(mesh, faces)
+        joined[np.asarray(facet)] = True
+        for faces in _flat_groups(mesh, np.asarray(facet), beside):
+            plates += _of_plane(mesh, faces)
     for face in np.flatnonzero(~joined):
         plates += _of_plane(mesh, np.array([face]))
     return plates
+
+
+def _flat_groups(
+    mesh: Any,  # noqa: ANN401 - trimesh.Trimesh
+    facet: np.ndarray,
+    beside: dict[int, list[int]],
+) -> Iterator[np.ndarray]:
+    """Yield the faces of a facet in groups that lie in one plane each: trimesh joins those of gentle hills.
+
+    Args:
+        mesh: The mesh.
+        facet: Faces that trimesh takes for those of one plane (n,).
+        beside: Faces that share an edge, by face.
+    """
+    corners, areas = np.asarray(mesh.triangles, float), np.asarray(mesh.area_faces)
+    normals = np.asarray(mesh.face_normals, float)
+    order: list[int] = facet[np.argsort(-areas[facet], kind="stable")].tolist()
+    waiting = set(order)
+    for seed in order:
+        if seed not in waiting:
+            continue
+        waiting.discard(seed)
+        group = [seed]
+        for face in group:  # which grows
+            for other in beside.get(face, ()):
+                off = np.abs((corners[other] - corners[seed, 0]) @ normals[seed]) if other in waiting else None
+                if off is not None and off.max() <= FLATNESS:
+                    waiting.discard(other)
+                    group.append(other)
+        yield np.array(group)
 
 
 def _of_plane(mesh: Any, faces: np.ndarray) -> list[Plate]:  # noqa: ANN401 - trimesh.Trimesh
