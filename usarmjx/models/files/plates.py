@@ -59,9 +59,9 @@ def _flat_groups(
         waiting.discard(seed)
         group = [seed]
         for face in group:  # which grows
-            for other in beside.get(face, ()):
-                off = np.abs((corners[other] - corners[seed, 0]) @ normals[seed]) if other in waiting else None
-                if off is not None and off.max() <= FLATNESS:
+            near = [other for other in beside.get(face, ()) if other in waiting]
+            for other in near:
+                if np.abs((corners[other] - corners[seed, 0]) @ normals[seed]).max() <= FLATNESS:
                     waiting.discard(other)
                     group.append(other)
         yield np.array(group)
