@@ -51,6 +51,8 @@ class MovedBody:
         leaves: np.ndarray = tree.bvh_nodeid[self._nodes]
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
         self._children, self._levels, self._leaf = _tree_topology(len(self._geoms))
+        inner = [nodes[self._children[nodes, 0] >= 0] for nodes, _ in reversed(self._levels)]
+        self._merges = [(nodes, *self._children[nodes].T) for nodes in inner if len(nodes)]
         self._worlds: dict[int, BoundingTree] = {}
         if len(self._geoms):
             tree.bvh_child[self._nodes] = self._children
@@ -80,9 +82,10 @@ class MovedBody:
     def _bounding_tree(self, model: mujoco.MjModel, world: int) -> BoundingTree:
         geoms, known = self._geoms, self._worlds.get(world)
         places = np.hstack([model.geom_pos[geoms], model.geom_quat[geoms], model.geom_aabb[geoms, 3:]])
-        if known is None or not np.array_equal(known.places, places):
+        changed = np.ones(1, bool) if known is None else (known.places != places).any(axis=1)
+        if known is None or changed.any():
             mid, half = _bounding_boxes(model, geoms)
-            if known is None or (known.places != places).any(axis=1).mean() > REBUILD_FRACTION:
+            if known is None or changed.mean() > REBUILD_FRACTION:
                 order = self._leaf_order(mid)
             else:
                 order = known.order
@@ -110,13 +113,11 @@ class MovedBody:
 
     def _node_boxes(self, mid: np.ndarray, half: np.ndarray) -> np.ndarray:
         """Return the boxes of all nodes around those of the leaves, from left to right (nodes, 6)."""
-        low, high = np.empty((2, len(self._children), 3))
-        low[self._leaf], high[self._leaf] = mid - half, mid + half
-        for nodes, _ in reversed(self._levels):
-            inner = nodes[self._children[nodes, 0] >= 0]
-            one, other = self._children[inner].T
-            low[inner] = np.minimum(low[one], low[other])
-            high[inner] = np.maximum(high[one], high[other])
+        bounds = np.empty((len(self._children), 6))  # low corner, and high corner times -1
+        bounds[self._leaf, :3], bounds[self._leaf, 3:] = mid - half, -(mid + half)
+        for nodes, one, other in self._merges:
+            bounds[nodes] = np.minimum(bounds[one], bounds[other])
+        low, high = bounds[:, :3], -bounds[:, 3:]
         return np.hstack([(low + high) / 2, (high - low) / 2])
 
 
