@@ -141,12 +141,16 @@ def test_after_a_reset_a_driven_robot_stands_as_it_began(name):
 
 CLASSES = ("P2DX", "Hummer", "Talon", "AirRobot")
 """The largest tilt on wheels, springs, tracks with an arm, and a flyer."""
+EVERY = [name for name, spec in ROBOTS if spec.drive.vehicle != "NauticVehicle"]
+"""Divers have no place of rest on a dry floor."""
+PLANAR = [name for name in EVERY if name not in ("ERS", "QRIO")]
+"""Those that do not walk on legs."""
 
 
 def batch_of(names, engine, parked=False, vary=None):
     """One robot of each class, 6 m apart, with the sensors of `MOTION`: rays take long to compile."""
     starts = tuple(StartPose(tag=f"S{i}", at=(6.0 * i, 0.0, 0.188), yaw=0.4) for i in range(len(names)))
-    arena = replace(FLAT, starts=starts, extent=((-3, 33), (-3, 3)))
+    arena = replace(FLAT, starts=starts, extent=((-3, 6 * len(names) + 3), (-3, 3)))
     specs = [attentive(name) for name in names]
     feeling = [replace(spec, sensors=spec.sensors[-len(MOTION) :]) for spec in specs]
     roster = [RosterEntry(robot=spec, parked=parked) for spec in feeling]
@@ -179,6 +183,8 @@ def stand_from_their_start_on(batch, state):
     [
         ("c", CLASSES[:2]),
         ("planar", CLASSES),
+        pytest.param("c", EVERY, marks=pytest.mark.thorough, id="c-every"),
+        pytest.param("planar", PLANAR, marks=pytest.mark.thorough, id="planar-every"),
         pytest.param("jax", ("P2DX",), marks=pytest.mark.thorough),
         pytest.param("warp", ("P2DX", "Hummer"), marks=pytest.mark.thorough),
     ],
