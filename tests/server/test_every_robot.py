@@ -19,6 +19,8 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 ROUNDING = 0.01
 """Times of reports have two decimals [s]: without this, some trips would be a report of 0.2 s longer."""
+PACE = 2.0
+"""Times real time: the faster it is, the later in the world's time a command arrives."""
 F4 = r"-?\d+\.\d{4}"
 HEADLIGHT = r"{LightToggle False} {LightIntensity 0} {Battery \d+} {View -1}"
 STEER = rf"{{FrontSteer {F4}}} {{RearSteer {F4}}} "
@@ -158,10 +160,14 @@ TRIPS += tuple(in_percents(trip) for trip in TRIPS if trip.name in OTHER_DRIVES)
 
 
 @pytest.fixture(scope="module")
-def port(request):
-    """Port of a world of an arena, which steps while a test waits: one at a time, since all would step."""
-    with serving(DynamicWorld(ARENAS.get(request.param), Physics(), 1)) as (port, _):
-        yield port
+def ports():
+    """Servers of all arenas that the trips need."""
+    worlds = [DynamicWorld(ARENAS.get(name), Physics(), 1) for name in ("field", "pool")]
+    with (
+        serving(worlds[0], realtime_factor=PACE) as (field, _),
+        serving(worlds[1], realtime_factor=PACE) as (pool, _),
+    ):
+        yield {"field": field, "pool": pool}
 
 
 def ground_truth(peer):
@@ -178,21 +184,19 @@ def test_every_class_of_the_manual_has_a_trip():
 
 
 @pytest.mark.parametrize(
-    ("port", "trip"),
+    "trip",
     [
         pytest.param(
-            trip.arena,
             trip,
             marks=pytest.mark.thorough if trip.percents and trip.name != "Hummer" else (),
             id=trip.name + trip.percents * " in percents",
         )
         for trip in TRIPS
     ],
-    indirect=["port"],
 )
-def test_a_robot_reports_itself_and_drives(port, trip):
+def test_a_robot_reports_itself_and_drives(ports, trip):
     robot = ROBOTS.get(trip.name)
-    peer = Peer(port)
+    peer = Peer(ports[trip.arena])
     start = f" {{Start {trip.start}}}" if trip.start else ""
     peer.say(f"INIT {{ClassName usarbot.{trip.name.upper()}}} {{Name R1}}{start}")
     status = peer.until(b"STA").decode()
@@ -234,10 +238,9 @@ def links_of(peer, package):
     return {int(n): float(value) for n, value in re.findall(rb"{Link (\d+)} {Value (-?[\d.]+)}", line)}
 
 
-@pytest.mark.parametrize("port", ["field"], indirect=True)
-def test_a_sliding_link_is_told_in_metres(port):
+def test_a_sliding_link_is_told_in_metres(ports):
     """The TeleMax's telescope slides by 0 to 0.3 m; a value beyond is held back."""
-    peer = Peer(port, "INIT {ClassName TeleMax} {Name Slider}")
+    peer = Peer(ports["field"], "INIT {ClassName TeleMax} {Name Slider}")
     peer.say("GETCONF {Type MisPkg}")
     arm = peer.until(b"CONF {Type MisPkg} {Name TeleMaxArm}").decode()
     slider = r"{Link 3} {JointType Prismatic} {MaxSpeed 0.17\d*} .*?{MinRange 0.0+} {MaxRange 0.30*}"
