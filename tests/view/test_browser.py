@@ -183,6 +183,30 @@ def test_who_has_the_controls_spawns_drives_and_removes(show, me):
     wait_until(lambda: show.names() == ["Own"])
 
 
+def test_what_joins_the_panel_does_not_keep_an_arrow_held(show, me):
+    (user,) = show.page.viewers.values()
+    show.controls.spawn(0, CLASS, "Held", (1.0, -1.0, 0.0), 0.0)
+    me.choose("Robot", "Held")
+    me.wait_for_text("from this page")
+    ahead = me.place(".drivepad button[aria-label=ahead]")
+    for hold, release in (
+        (lambda: me.press(ahead), lambda: me.release(ahead)),
+        (lambda: me.key("ArrowUp"), lambda: me.key("ArrowUp", down=False)),
+    ):
+        me.js("document.querySelector('.drivepad').focus()")
+        hold()
+        wait_until(lambda: show.setpoint("Held").any())
+        me.js("document.querySelector('.drivepad').old = true")
+        note = user.client.gui.add_markdown("something new")
+        me.wait("!document.querySelector('.drivepad').old")
+        release()
+        wait_until(lambda: not show.setpoint("Held").any())
+        note.remove()
+    show.controls.remove(0, show.robot("Held").slot)
+    wait_until(lambda: show.names() == ["Own"])
+    assert me.errors == []
+
+
 def test_time_stands_still_goes_by_steps_and_on(show, me):
     me.click("button", "Pause")
     wait_until(lambda: show.clock.paused)

@@ -3,7 +3,7 @@
 import html
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 import viser
@@ -111,8 +111,10 @@ def pad_html(buttons: Mapping[str, str]) -> str:
     keys = {code: buttons[name] for name in buttons for code in DIRECTIONS[name][1]}
     arrows = "".join(map(partial(_arrow, buttons), buttons))
     letters = "W A S D" + (", R and F for up and down" if "up" in buttons else "")
-    on_key = f"const k={_object(keys)}[event.code];if(k){{event.preventDefault();event.stopPropagation();"
-    leave = f"for(const k of {_list(buttons.values())}){_release('k')}"
+    on_key = (
+        f"const k={_object(keys)}[event.code];"
+        f"if(k){{event.preventDefault();event.stopPropagation();if(!event.repeat){{{_hold('k')}}}}}"
+    )
     return (
         f"<style>{hidden_style(*buttons.values())}"
         f".drivepad{{grid-template-columns:repeat({4 if 'up' in buttons else 3},3.2em)}}"
@@ -124,45 +126,38 @@ def pad_html(buttons: Mapping[str, str]) -> str:
         "touch-action:none}.drivepad button:active{background:#4a90e2}"
         ".drivepad small{grid-column:1 / -1;align-self:center;text-align:center;opacity:.7}</style>"
         f'<div class="drivepad" tabindex="0" aria-label="drive" '
-        f'onkeydown="{_quoted(on_key + "if(!event.repeat)" + _press("k") + "}")}" '
-        f'onkeyup="{_quoted(on_key + _release("k") + "}")}" '
-        f'onblur="{_quoted(leave)}">'
+        f'onkeydown="{_quoted(on_key)}">'
         f"{arrows}<small>Hold an arrow; or click here and hold arrow keys or {letters}.</small></div>"
     )
 
 
 def _arrow(buttons: Mapping[str, str], name: str) -> str:
     sign, _, area = DIRECTIONS[name]
-    button = repr(buttons[name])
-    press = (
-        "event.preventDefault();this.parentNode.focus();this.setPointerCapture(event.pointerId);"
-        + _press(button)
+    press = "event.preventDefault();this.parentNode.focus();this.setPointerCapture(event.pointerId);" + _hold(
+        repr(buttons[name])
     )
-    release = _quoted(_release(button))
     return (
         f'<button tabindex="-1" aria-label="{name}" style="grid-area:{area}" '
-        f'onpointerdown="{_quoted(press)}" onpointerup="{release}" onpointercancel="{release}" '
-        f'onlostpointercapture="{release}" '
-        f'oncontextmenu="event.preventDefault()">{sign}</button>'
+        f'onpointerdown="{_quoted(press)}" oncontextmenu="event.preventDefault()">{sign}</button>'
     )
 
 
-def _press(button: str) -> str:
-    """Return the script that holds a button down."""
-    return (
-        f"{{const b=document.getElementById({button});"
-        f"if(b){{b.held=true;b.dispatchEvent({_pointer('pointerdown')});}}}}"
-    )
+def _hold(button: str) -> str:
+    """Return the script that holds a button down until the key or pointer of the event is released.
 
-
-def _release(button: str) -> str:
-    """Return the script that releases a button, if it is held: its click reaches the server.
-
-    Viser's page sends one message in 50 ms, and only the last of those that wait: there must be no others.
+    The window listens for the release: React makes the pad's elements anew whenever anything joins their
+    folder, and ignores events meanwhile. Viser's page sends one message in 50 ms, and only the last of those
+    that wait: a button that is not held sends none.
     """
     return (
-        f"{{const b=document.getElementById({button});"
-        f"if(b?.held){{b.held=false;b.dispatchEvent({_pointer('pointerup')});b.click();}}}}"
+        f"const b=document.getElementById({button});"
+        f"if(b&&!b.held){{b.held=true;b.dispatchEvent({_pointer('pointerdown')});"
+        "const ends=['keyup','pointerup','pointercancel','blur'],end=e=>{"
+        "if(e.type==='blur'?e.target!==window:"
+        "e.type==='keyup'?e.code!==event.code:e.pointerId!==event.pointerId)return;"
+        "for(const kind of ends)window.removeEventListener(kind,end,true);"
+        f"b.held=false;b.dispatchEvent({_pointer('pointerup')});b.click()}};"
+        "for(const kind of ends)window.addEventListener(kind,end,true)}"
     )
 
 
@@ -172,10 +167,6 @@ def _pointer(kind: str) -> str:
 
 def _object(pairs: Mapping[str, str]) -> str:
     return "({" + ",".join(f"{key}:{value!r}" for key, value in pairs.items()) + "})"
-
-
-def _list(values: Iterable[str]) -> str:
-    return repr(list(values))
 
 
 def _quoted(script: str) -> str:
