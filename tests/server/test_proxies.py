@@ -3,6 +3,7 @@
 The certificates are made by openssl for the name sim.example.org.
 """
 
+import asyncio
 import contextlib
 import os
 import re
@@ -13,7 +14,8 @@ import subprocess
 import time
 
 import pytest
-from websockets.sync.client import connect
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
 
 import dev
 from tests.server.peers import PATIENCE, Peer, serving
@@ -130,13 +132,17 @@ def test_a_browser_talks_through_caddy_by_tls(certificates, tmp_path):
         with running([CADDY, "run", "--config", str(tmp_path / "Caddyfile")], tls, tmp_path):
             context = ssl.create_default_context(cafile=certificates / "sim.pem")
 
-            def come(path, name=NAME):
-                near = socket.create_connection(("127.0.0.1", tls), PATIENCE)
-                return connect(f"wss://{name}:{tls}{path}", sock=near, ssl=context, server_hostname=NAME)
+            # The blocking client reads and writes TLS in two threads, of which one sometimes waits for ever.
+            def come(path):
+                address = f"wss://{NAME}:{tls}{path}"
+                return connect(address, host="127.0.0.1", port=tls, ssl=context, server_hostname=NAME)
 
-            with come(f"/?token={TOKEN}") as browser:
-                browser.send('{"op": "call_service", "service": "/rosapi/topics", "id": "1"}')
-                assert '"result": true' in browser.recv(PATIENCE)
-            for path in ("/", "/?token=wrong"):
-                with pytest.raises(Exception, match="HTTP 403"):
-                    come(path)
+            async def talk():
+                async with come(f"/?token={TOKEN}") as browser:
+                    await browser.send('{"op": "call_service", "service": "/rosapi/topics", "id": "1"}')
+                    assert '"result": true' in await asyncio.wait_for(browser.recv(), PATIENCE)
+                for path in ("/", "/?token=wrong"):
+                    with pytest.raises(InvalidStatus, match="HTTP 403"):
+                        await come(path)
+
+            asyncio.run(talk())
