@@ -18,7 +18,7 @@ from usarmjx.base.errors import PeerError
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.server.protocol.commands import Control, PathOptions
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
-from usarmjx.server.worlds.object_motion import MAX_POINTS, ObjectMotion, angles_of
+from usarmjx.server.worlds.object_motion import MAX_POINTS, ObjectMotion, angles_along, angles_of
 from usarmjx.server.worlds.served_world import ServedWorld
 
 
@@ -146,5 +146,5 @@ def _put(world: ServedWorld, index: int, motion: ObjectMotion, *, back: bool = F
     pos, along = motion.place() if len(motion.points) else (row[:3], None)
     quat = _first_pose(world, index)[1] if back else row[3:]
     if motion.aligned and along is not None:
-        quat = np.asarray(quat_from_angles(*motion.heading(along).tolist()))
+        quat = np.asarray(quat_from_angles(*angles_along(along).tolist()))
     world.move_loose(index, _vec3(pos), quat)

@@ -19,7 +19,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
 from usarmjx.base.registry import is_name
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.transforms import Vec3, angles_from_mat, quat_from_angles
+from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.server.gamebots.object_paths import MOTION_COMMANDS
 from usarmjx.server.gamebots.spawning import names_of_robots, start_of
 from usarmjx.server.gamebots.world_objects import (
@@ -32,6 +32,7 @@ from usarmjx.server.gamebots.world_objects import (
 from usarmjx.server.protocol.commands import Control
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, Segment, clip, four_decimals_list
+from usarmjx.server.worlds.object_motion import angles_of
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.server.worlds.wire_pose import wire_pose
@@ -185,9 +186,7 @@ class WorldController:
             raise PeerError(f"nothing here is called {clip(command.name)}")
         if relative:
             row = self._pose(robot) if index is None and robot is not None else world.loose_poses()[index]
-            with numpy_backend():
-                present = angles_from_mat(np.asarray(mat_from_quat(row[3:]), float))
-            by, turn = row[:3] + by, present + turn
+            by, turn = row[:3] + by, angles_of(row[3:]) + turn
         place: Vec3 = (float(by[0]), float(by[1]), float(by[2]))
         world.check_position(place)
         roll, pitch, yaw = map(float, turn)

@@ -71,11 +71,6 @@ class ObjectMotion:
                 return self.points[index] + min(share, 1.0) * segments[index], segments[index]
         return self.points[0], None
 
-    def heading(self, along: np.ndarray) -> np.ndarray:
-        """Return roll, pitch and yaw of an object that points along a vector [rad] (3,)."""
-        x, y, z = along
-        return np.array([0.0, -math.atan2(z, math.hypot(x, y)), math.atan2(y, x)])
-
     def advance(self, pose: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Advance by a control step; return position [m] (3,) and orientation (4,), None: physics moves it.
 
@@ -94,7 +89,7 @@ class ObjectMotion:
             self._proceed(self.speed * period)
             pos, along = self.place()
             if self.aligned and along is not None:
-                quat = np.asarray(quat_from_angles(*self.heading(along).tolist()))
+                quat = np.asarray(quat_from_angles(*angles_along(along).tolist()))
         return pos, quat
 
     def _proceed(self, distance: float) -> None:
@@ -103,6 +98,12 @@ class ObjectMotion:
         if self.progress >= self.length:
             self.moving = self.loops
             self.progress = self.progress % self.length if self.loops else self.length
+
+
+def angles_along(vector: np.ndarray) -> np.ndarray:
+    """Return roll, pitch and yaw of an object that points along a vector (3,) [rad] (3,)."""
+    x, y, z = vector
+    return np.array([0.0, -math.atan2(z, math.hypot(x, y)), math.atan2(y, x)])
 
 
 def angles_of(quat: np.ndarray) -> np.ndarray:
