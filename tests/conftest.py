@@ -68,8 +68,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("double"):
         os.environ["JAX_ENABLE_X64"] = "1"  # for programs that tests start
         jax.config.update("jax_enable_x64", True)
-    # What a test compiles that another one has compiled is read from a folder: a fifth of the time of
-    # training's tests. The processes of a run share it. It starts empty, unless a variable names one.
+    # Tests read programs that other tests have compiled from a folder: this saves a fifth of the time of
+    # training's tests. The processes of a run share the folder. It starts empty, unless a variable names one.
     own = tempfile.TemporaryDirectory(prefix="usarmjx-tests-")
     config.add_cleanup(own.cleanup)
     folder = str(folder_of_programs(os.environ, Path(own.name)))

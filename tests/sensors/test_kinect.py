@@ -78,13 +78,13 @@ def test_a_picture_has_the_depths_that_c_mujoco_meets(make_bench, make_arena, se
         at, angles = np.array([*rng.uniform(-0.3, 0.3, 2), 0.9]), tuple(rng.uniform(-0.3, 0.3, 3))
         now = bench.inputs(time=0.2 * frame, at=at, angles=angles)
         hits = cast(now.bodies, jnp.int32(0), own=memory.own)
-        memory, (told,) = bench.read(now.replace(hits=hits), memory)
+        memory, (heard,) = bench.read(now.replace(hits=hits), memory)
         mat = mat_from_angles(*angles)
         origin = at + mat @ (NOSE[0], -NOSE[1], -NOSE[2])
         met = c_rays(blocks, origin, strip_lines(frame) @ mat.T)
-        assert told.fresh
-        assert told.value[0] == frame
-        np.testing.assert_allclose(told.value[1:], np.minimum(met, 3.0), atol=RANGE_ATOL)
+        assert heard.fresh
+        assert heard.value[0] == frame
+        np.testing.assert_allclose(heard.value[1:], np.minimum(met, 3.0), atol=RANGE_ATOL)
         nearer += (met < 3.0).sum()
         _, (same,) = bench.read(now.replace(hits=hits), memory)
         assert not same.fresh, "a strip for each interval"
@@ -100,7 +100,7 @@ def test_a_served_world_sends_a_picture_strip_by_strip():
     own = robot(ScanInterval=0.1, MaxRange=2.0, **SMALL)
     client = world.spawn(own, "R1", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0))
 
-    def told(seconds):
+    def heard(seconds):
         """Readings of some time, by the control step."""
         found = []
         for _ in range(round(seconds / world.period)):
@@ -110,10 +110,10 @@ def test_a_served_world_sends_a_picture_strip_by_strip():
                 found.append(client.pending.pop(0))
         return found
 
-    assert told(0.6) == []
+    assert heard(0.6) == []
     assert not world.operate_sensor(client, 0, "Zoom", ())
     assert world.operate_sensor(client, 0, "SCAN", ())
-    strips = told(1.0)
+    strips = heard(1.0)
     assert [strip[0] for strip in strips] == [0, 1, 2, 3]
     bodies = world.bodies(client)
     height = float(bodies.pos[0, 2]) - NOSE[2]
@@ -121,9 +121,9 @@ def test_a_served_world_sends_a_picture_strip_by_strip():
         # The robot stands still to within a millimetre, and leans by less than 1e-3 rad.
         np.testing.assert_allclose(strip[1:], floor_depths(frame, height), rtol=6e-3)
     assert (strips[0][1:] < 2.0).any()
-    assert told(0.6) == []
+    assert heard(0.6) == []
     assert world.operate_sensor(client, 0, "SCAN", ())
-    assert [strip[0] for strip in told(1.0)] == [0, 1, 2, 3], "another picture"
+    assert [strip[0] for strip in heard(1.0)] == [0, 1, 2, 3], "another picture"
 
 
 def floor_depths(frame, height):
@@ -147,9 +147,9 @@ def test_worlds_of_a_batch_measure_strips_of_their_own():
     np.testing.assert_array_equal(after.own[0], [[1], [0]])
     np.testing.assert_array_equal(after.armed, [[[True]], [[False]]])
     for world, frame in enumerate((0, 3)):
-        told = np.asarray(reading.value)[world, 0]
-        assert told[0] == frame
-        np.testing.assert_allclose(told[1:], floor_depths(frame, heights[world]), rtol=6e-3)
+        heard = np.asarray(reading.value)[world, 0]
+        assert heard[0] == frame
+        np.testing.assert_allclose(heard[1:], floor_depths(frame, heights[world]), rtol=6e-3)
 
 
 def test_a_client_hears_strips_in_whole_centimetres():

@@ -55,7 +55,7 @@ def say_init(client, line):
     client.session.answer_init(True)
 
 
-def told(client, steps=30):
+def heard(client, steps=30):
     """The last line of the sensor."""
     world, lines = client._world, []
     for _ in range(steps):
@@ -78,8 +78,8 @@ def objects_of(line):
 
 
 def test_objects_in_sight_are_named_from_right_to_left_with_their_poses(client):
-    """What another thing hides is not there; a wall is a StaticMeshActor, as in Unreal."""
-    head, found = objects_of(told(client))
+    """The sensor names no hidden objects, and names a wall StaticMeshActor, as Unreal does."""
+    head, found = objects_of(heard(client))
     assert head.startswith("SEN {Time ")
     assert head.endswith("{Type ObjectSensor} {Name Finder}")
     assert [name for name, *_ in found] == ["Ada", "Big_crate", "StaticMeshActor"]
@@ -93,7 +93,7 @@ def test_objects_in_sight_are_named_from_right_to_left_with_their_poses(client):
 def test_a_robot_is_named_where_it_stands_and_the_sensor_sees_no_part_of_its_own(client):
     other = Client(client._world, "other", dialect=UDK)
     say_init(other, "INIT {ClassName USARBot.P3AT} {Name R2} {Location 1,0,-0.3} {Rotation 0,0,1.5708}")
-    _, found = objects_of(told(client))
+    _, found = objects_of(heard(client))
     (pose,) = [(at, angles) for name, at, angles in found if name == "R2"]
     state = client._world.state(other.robot)
     np.testing.assert_allclose(pose[0], np.array(state.pos) * (1, -1, -1), atol=0.011)
@@ -105,7 +105,7 @@ def test_a_robot_is_named_where_it_stands_and_the_sensor_sees_no_part_of_its_own
 def test_beyond_its_range_there_are_no_objects_and_other_worlds_do_not_know_any(client):
     robot = client.robot
     client._world.update_robot_spec(robot, seer(MaxRange=1.0))
-    assert told(client).endswith("{Type ObjectSensor} {Name Finder}")
+    assert heard(client).endswith("{Type ObjectSensor} {Name Finder}")
     (answer,) = say(client, "SET {Type ObjectSensor} {Name Finder} {Opcode SCAN}")
     assert answer.endswith("{Status OK}")
     (conf,) = say(client, "GETCONF {Type ObjectSensor}")

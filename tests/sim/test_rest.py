@@ -178,6 +178,17 @@ def stand_from_their_start_on(batch, state):
     return state
 
 
+def stand_from_each_reset_on(batch):
+    """Assert that robots stand still after a reset, and after another one once they have driven."""
+    state = stand_from_their_start_on(batch, batch.reset(0))
+    for group in range(len(batch.scene.groups)):
+        ahead = dict.fromkeys(batch.scene.groups[group].robot.drive.keys, 1.0)
+        state = batch.drive(state, group, ahead)
+    for _ in range(FIRST):
+        state = batch.step(state)
+    stand_from_their_start_on(batch, batch.reset_where(state, np.array([True])))
+
+
 @pytest.mark.parametrize(
     ("engine", "names"),
     [
@@ -190,14 +201,7 @@ def stand_from_their_start_on(batch, state):
     ],
 )
 def test_robots_of_batches_stand_still_from_each_reset_on(engine, names):
-    batch = batch_of(names, engine)
-    state = stand_from_their_start_on(batch, batch.reset(0))
-    for group in range(len(names)):
-        ahead = dict.fromkeys(batch.scene.groups[group].robot.drive.keys, 1.0)
-        state = batch.drive(state, group, ahead)
-    for _ in range(FIRST):
-        state = batch.step(state)
-    stand_from_their_start_on(batch, batch.reset_where(state, np.array([True])))
+    stand_from_each_reset_on(batch_of(names, engine))
 
 
 VARIED = {
@@ -219,14 +223,7 @@ def test_robots_whose_wheels_and_mass_vary_stand_still_from_each_reset_on(engine
 
     Under more mass a P2DX on MJX keeps its height and tilt to 1.1e-5, but its wheels wander by 8.5e-5 rad.
     """
-    batch = batch_of(names, engine, vary=VARIED[vary])
-    state = stand_from_their_start_on(batch, batch.reset(0))
-    for group in range(len(names)):
-        ahead = dict.fromkeys(batch.scene.groups[group].robot.drive.keys, 1.0)
-        state = batch.drive(state, group, ahead)
-    for _ in range(FIRST):
-        state = batch.step(state)
-    stand_from_their_start_on(batch, batch.reset_where(state, np.array([True])))
+    stand_from_each_reset_on(batch_of(names, engine, vary=VARIED[vary]))
 
 
 @pytest.mark.parametrize("engine", ["c", "planar"])

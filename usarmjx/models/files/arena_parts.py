@@ -38,7 +38,7 @@ class ArenaLink:
         name: Unique within the arena.
         pose: Pose of its axes in those of the arena, whose floor has height 0.
         solids: Poses in its axes, and solids.
-        weight: What it weighs; None: it stays where it is.
+        weight: Its mass and inertia; None for a fixed link.
         door: The door that it is.
     """
 
