@@ -123,7 +123,18 @@ def test_a_signal_ends_a_run_with_a_checkpoint_and_it_goes_on_as_if_nothing_had_
     assert lines(tmp_path / "run") == lines(reference)[: ended.iterations]
     finished = run(tmp_path / "run", config, resume=True)
     assert (finished.iterations, finished.stopped) == (10, False)
-    assert [line["score"] for line in lines(tmp_path / "run")] == [line["score"] for line in lines(reference)]
+    whole = lines(tmp_path / "run")
+    assert [line["score"] for line in whole] == [line["score"] for line in lines(reference)]
+    checkpoints = Checkpoints(tmp_path / "run")
+    noted = checkpoints.meta(checkpoints.find("last"))["score"]
+    assert noted == pytest.approx(mean_score(whole), rel=1e-12)  # of the iterations before the stop, too
+
+
+def mean_score(records):
+    """The mean over all episodes of some iterations."""
+    ended = [record for record in records if record["score"] is not None]
+    count = sum(record["episodes"] for record in ended)
+    return sum(record["episodes"] * record["score"] for record in ended) / count
 
 
 def test_a_run_without_a_checkpoint_begins_anew_and_keeps_its_lines(copy, capsys):

@@ -1,6 +1,7 @@
 """Iterations of a training, or of several at once: numbers, logs and checkpoints, until the end or a stop."""
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing
@@ -63,9 +64,20 @@ def _scored(trainer: Trainer, train_state: TrainState, lines: list[dict[str, Any
 
 
 def _notes(trainer: Trainer, train_state: TrainState, agent_steps: int, recent: list[Records]) -> Records:
-    """Return a checkpoint's note for each run, from the records since the one before."""
+    """Return a checkpoint's note for each run, from the records of a whole interval of checkpoints."""
     scores = [_scored(trainer, train_state, list(run)) for run in zip(*recent, strict=True)]
     return [{"agent_steps": agent_steps, **one} for one in scores]
+
+
+def _recent_records(folders: Sequence[Path], done: int, count: int) -> deque[Records]:
+    """Return the records before iteration `done + 1`, `count` iterations at most.
+
+    Checkpoints are compared by the mean over as many iterations: one that a signal makes after few would
+    else be the best by luck.
+    """
+    runs = [read_lines(folder / "metrics.jsonl") for folder in folders] if done else []
+    kept = [[line for line in run if done - count < line["iteration"] <= done] for run in runs]
+    return deque(map(list, zip(*kept, strict=False)), maxlen=count)
 
 
 class _CheckpointWriter:
@@ -255,7 +267,7 @@ def run_iterations(
     """
     logs, done, stop, waits = outputs.logs, restored[2], stop or StopRequest(ignore), trainer.waits
     steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
-    recent, lines = list[Records](), Records()  # of the iterations since the last checkpoint; of the last one
+    recent, lines = _recent_records(outputs.folders, done, trainer.config.checkpoint_interval), Records()
     say = logs[0].say if logs else ignore
     writer = _CheckpointWriter(outputs.save, trainer.process_group.count == 1, say, outputs.watch)
     with ExitStack() as held:
@@ -278,9 +290,8 @@ def run_iterations(
             if finished.state is not None:
                 with waits.timed("checkpoint"):
                     writer.save(
-                        done, finished.state, _notes(trainer, finished.state[0], done * steps, recent)
+                        done, finished.state, _notes(trainer, finished.state[0], done * steps, list(recent))
                     )
-                recent.clear()
             with waits.timed("log"):
                 writer.show(lines, last=finished.last)
             check_parent()
