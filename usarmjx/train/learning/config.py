@@ -43,8 +43,9 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "explore-v2": {**MAZE_SETTINGS, **SHORT_HORIZON, "imitation_steps": 5_000_000, "total_steps": 24_000_000},
     "explore-v3": {
         **{"gamma": 0.99, "gae_lambda": 0.95, "action_repeat": 8, "rollout_length": 25},
-        **{"entropy_coef": 0.01, "hidden_sizes": (256, 128), "critic_hidden_sizes": (256, 128)},
-        **{"imitation_steps": 1_000_000, "total_steps": 40_000_000},
+        **{"entropy_coef": 0.01, "network": "set"},
+        **{"hidden_sizes": (128, 128, 128), "critic_hidden_sizes": (128, 128)},
+        **{"imitation_steps": 1_000_000, "total_steps": 20_000_000},
     },
     "victim-search-v2": {
         **MAZE_SETTINGS,

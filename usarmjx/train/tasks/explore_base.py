@@ -165,7 +165,7 @@ class ExploreBase(TeamTask):
     count: Annotated[int, AT_LEAST_ONE] = 4
     actions: Literal["goals", "wheels"] = "goals"
     hold: Annotated[int, AT_LEAST_ONE] = 8
-    hint: Annotated[float, NOT_NEGATIVE] = 0.3
+    hint: Annotated[float, NOT_NEGATIVE] = 0.1
     found: Annotated[float, SHARE] = 0.0
     observed: Literal["goals", "map"] = "goals"
     least_robots: Annotated[int, NOT_NEGATIVE] = 0
