@@ -325,11 +325,15 @@ def test_cards_of_tasks_agree_with_the_tasks():
     from usarmjx.train.policies.policy_file import read_arrays
     from usarmjx.train.tasks import TASKS
 
-    text = (dev.ROOT / "docs" / "tasks.md").read_text(encoding="utf-8")
-    cards = dict(re.findall(r"^## ([\w-]+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
+    def sections(page):
+        text = (dev.ROOT / "docs" / page).read_text(encoding="utf-8")
+        return dict(re.findall(r"^## ([\w-]+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
+
+    cards, versions = sections("tasks.md"), sections("tasks-teams.md")
     assert {re.sub(r"-v\d$", "", name) for name in TASKS.names()} == set(cards)
     for name, task in TASKS:
-        card, policy = cards[re.sub(r"-v\d$", "", name)], name in POLICIES.names()
+        card = cards[re.sub(r"-v\d$", "", name)] + versions.get(name, "")
+        policy = name in POLICIES.names()
         version = name[-1] if re.search(r"-v\d$", name) else "1"
         later = f"version {version}: {task.episode_steps}" in card
         assert later or f"| {task.episode_steps} steps of" in card, name

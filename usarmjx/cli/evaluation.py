@@ -68,8 +68,8 @@ def teams(
         bool,
         typer.Option(
             "--ablate",
-            help="Play the packaged or the named teams with advice, goal, map, mates or messages taken away, "
-            "and with a perfect radio.",
+            help="Play the packaged or the named teams with advice, goal, map, mates, news or messages taken "
+            "away, as far as the task has them, and with a perfect radio.",
         ),
     ] = False,
     out: Annotated[

@@ -4,18 +4,33 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.ablation import (
     ABLATIONS,
+    GOAL_ABLATIONS,
     MAP_SIZE,
     MATES,
     ablation_row,
     ablation_table,
+    ablations_of,
     hidden_policy,
 )
 from usarmjx.train.evaluation.yardsticks import TeamResult
+from usarmjx.train.mapping.belief import SECTOR_COUNT, initial_belief
+from usarmjx.train.mapping.goals import Goals
+from usarmjx.train.mapping.maps import MapGrid
 from usarmjx.train.tasks.explore import Explore
+from usarmjx.train.tasks.explore_base import ExploreBase
+from usarmjx.train.tasks.goal_features import (
+    GOALS,
+    OBSERVATION_SIZE,
+    OWN_NUMBERS,
+    GoalView,
+    goal_features,
+    mate_features,
+)
 from usarmjx.train.tasks.team import PERFECT_RADIO
 
 OTHERS = 3
@@ -50,6 +65,65 @@ def test_radio_ablations_change_the_task():
     task = Explore(count=2)
     assert ABLATIONS["messages"][0](task).talk == "none"
     assert ABLATIONS["perfect radio"][0](task).radio == PERFECT_RADIO
+
+
+GRID = MapGrid(low=(0.0, 0.0), cell=0.3, shape=(40, 40))
+POSES = jnp.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.5], [6.0, 1.0, 2.0], [4.0, 4.0, -1.0]])
+"""The base, and three robots."""
+
+
+def observed_goals(untold, heard):
+    """What the robots observe, of those that they have heard of (robots, robots) only."""
+    belief = initial_belief(GRID, POSES)
+    belief = belief.replace(heard_time=jnp.where(heard, 0.0, -jnp.inf))
+    mates = heard[:, [2, 3]] & ~jnp.eye(4, dtype=bool)[:, [2, 3]]
+    goals = Goals(
+        position=jnp.stack(
+            [jnp.full((4, GOALS), 2.0), jnp.broadcast_to(jnp.arange(GOALS) / 3, (4, GOALS))], -1
+        ),
+        length=jnp.full((4, GOALS), 9.0),
+        gain=jnp.full((4, GOALS), 0.5),
+        valid=jnp.ones((4, GOALS), bool).at[:, 1:3].set(mates).at[:, 12:].set(False),
+    )
+    judged = GoalView(base=0, time=1.0, seconds=80.0, untold=untold)
+    chosen = jnp.full(4, 4, jnp.int32)
+    own = jnp.full((4, OWN_NUMBERS), 0.7).at[:, 5].set(untold[:, 0] / 1000.0)
+    own = own.at[:, 7].set((heard & ~jnp.eye(4, dtype=bool))[:, 1:].sum(-1) / 16)
+    rows = [own, jnp.full((4, SECTOR_COUNT), 0.3)]
+    rows += [mate_features(belief, 0, 1.0, jnp.zeros((4, 4), bool), untold)]
+    rows += [goal_features(GRID, belief, goals, chosen, judged), goals.valid.astype(jnp.float32)]
+    seen = jnp.concatenate(rows, -1)[1:]
+    assert seen.shape == (3, OBSERVATION_SIZE)
+    return seen
+
+
+def test_others_that_are_hidden_are_as_if_they_were_never_heard():
+    """The observation is that of robots which have heard nobody, to the bit."""
+    untold = jnp.array([[0.0] * 4, [500.0, 0.0, 90.0, 80.0], [0.0, 70.0, 0.0, 60.0], [50.0, 40.0, 30.0, 0.0]])
+    everybody, nobody = jnp.ones((4, 4), bool), jnp.zeros((4, 4), bool)
+    seen = observed_goals(untold, everybody)
+    hidden_others = GOAL_ABLATIONS["mates"][1](seen, OTHERS)
+    np.testing.assert_array_equal(hidden_others, observed_goals(untold, nobody))
+    assert (np.asarray(seen != hidden_others).sum(-1) > 30).all()
+    np.testing.assert_array_equal(GOAL_ABLATIONS["messages"][1](seen, OTHERS), seen)
+
+
+def test_news_that_are_hidden_are_as_if_the_others_knew_all():
+    untold = jnp.array([[0.0] * 4, [500.0, 0.0, 90.0, 80.0], [0.0, 70.0, 0.0, 60.0], [50.0, 40.0, 30.0, 0.0]])
+    everybody = jnp.ones((4, 4), bool)
+    seen = observed_goals(untold, everybody)
+    known = observed_goals(jnp.zeros((4, 4)), everybody)
+    np.testing.assert_array_equal(GOAL_ABLATIONS["news"][1](seen, OTHERS), known)
+    assert (seen[0] != known[0]).any()
+
+
+def test_robots_that_choose_goals_have_their_own_ablations():
+    task = ExploreBase(count=2)
+    assert ablations_of(task) is GOAL_ABLATIONS
+    assert ablations_of(Explore(count=2)) is ABLATIONS
+    assert GOAL_ABLATIONS["messages"][0](task).talk == "base"
+    with pytest.raises(UsageError, match="expected actions=goals, not wheels"):
+        ablations_of(ExploreBase(count=2, actions="wheels"))
 
 
 def result(name, by_world):

@@ -7,7 +7,7 @@ is unknown. A policy that was not trained so may do worse than one that was: a l
 bound of what the part is worth.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -22,6 +22,9 @@ from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Poli
 from usarmjx.train.evaluation.yardsticks import TeamResult, find_team, play_team
 from usarmjx.train.make import build_env
 from usarmjx.train.mapping.belief import SECTOR_COUNT
+from usarmjx.train.tasks import goal_features
+from usarmjx.train.tasks.explore_base import ExploreBase
+from usarmjx.train.tasks.goal_features import FIRST_GOAL, FIRST_MASK, FIRST_MATE, GOAL_NUMBERS, GOALS
 from usarmjx.train.tasks.team import LOCAL_MAP_WIDTH, PERFECT_RADIO, TeamTask
 
 WAYPOINT, ADVICE, MATE_SIZE = 2, 5, 4
@@ -31,6 +34,11 @@ MATES = ADVICE + 1 + SECTOR_COUNT + 2
 MATE_AGE = 2
 """Number of a team mate that is the age of its news; 1 if it was never heard."""
 MAP_SIZE = LOCAL_MAP_WIDTH**2
+
+OWN_NEWS, OWN_HEARD = 5, 7
+"""Numbers of a robot that chooses goals: squares that the base may not have, others that it has heard of."""
+GOAL_OTHERS, GOAL_NEARER, GOAL_NEWS = slice(5, 7), 7, 10
+"""Numbers about a goal: distances of others and of their goals, how many are nearer, and news."""
 
 Hide = Callable[[jax.Array, int], jax.Array]
 """Takes observations (..., obs_size) and the number of other robots, and returns them with a part hidden."""
@@ -67,6 +75,25 @@ def without_map(obs: jax.Array, others: int) -> jax.Array:
     return hidden.at[..., walls + MAP_SIZE : walls + 2 * MAP_SIZE].set(1.0)
 
 
+def without_other_robots(obs: jax.Array, others: int) -> jax.Array:
+    """Hide all others from a robot that chooses goals, as if they were never heard."""
+    del others
+    goals = obs[..., FIRST_GOAL:FIRST_MASK].reshape(*obs.shape[:-1], GOALS, GOAL_NUMBERS)
+    there = obs[..., -GOALS:].at[..., 1 : 1 + goal_features.MATES].set(0.0)
+    goals = goals.at[..., GOAL_OTHERS].set(1.0).at[..., GOAL_NEARER].set(0.0)
+    goals = jnp.where(there[..., None] > 0.0, goals, 0.0).reshape(*obs.shape[:-1], GOALS * GOAL_NUMBERS)
+    hidden = obs.at[..., OWN_HEARD].set(0.0).at[..., FIRST_MATE:FIRST_GOAL].set(0.0)
+    return hidden.at[..., FIRST_GOAL:FIRST_MASK].set(goals).at[..., -GOALS:].set(there)
+
+
+def without_news(obs: jax.Array, others: int) -> jax.Array:
+    """Hide from a robot that chooses goals how much the base and the others do not know yet."""
+    del others
+    news = slice(FIRST_GOAL + GOAL_NEWS, FIRST_MASK, GOAL_NUMBERS)
+    untold = slice(FIRST_MATE + goal_features.MATE_NUMBERS - 1, FIRST_GOAL, goal_features.MATE_NUMBERS)
+    return obs.at[..., OWN_NEWS].set(0.0).at[..., untold].set(0.0).at[..., news].set(0.0)
+
+
 def unchanged_task(task: TeamTask) -> TeamTask:
     """Return a task as it is."""
     return task
@@ -77,12 +104,19 @@ def silent_task(task: TeamTask) -> TeamTask:
     return replace(task, talk="none")
 
 
+def base_only_task(task: TeamTask) -> TeamTask:
+    """Return a task in which robots talk to their base, not to each other."""
+    return replace(task, talk="base")
+
+
 def perfect_radio_task(task: TeamTask) -> TeamTask:
     """Return a task in which all robots hear each other."""
     return replace(task, radio=PERFECT_RADIO)
 
 
-ABLATIONS: dict[str, tuple[Callable[[TeamTask], TeamTask], Hide]] = {
+Ablations = Mapping[str, tuple[Callable[[TeamTask], TeamTask], Hide]]
+"""Ablations by what is taken away: the change of the task, and what is hidden; the last gives."""
+ABLATIONS: Ablations = {
     "nothing": (unchanged_task, nothing_hidden),
     "advice": (unchanged_task, without_advice),
     "goal": (unchanged_task, without_goal),
@@ -91,7 +125,30 @@ ABLATIONS: dict[str, tuple[Callable[[TeamTask], TeamTask], Hide]] = {
     "messages": (silent_task, nothing_hidden),
     "perfect radio": (perfect_radio_task, nothing_hidden),
 }
-"""Ablations by what is taken away: the change of the task, and what is hidden; the last gives."""
+"""Ablations of robots that are driven by speed and turn."""
+GOAL_ABLATIONS: Ablations = {
+    "nothing": (unchanged_task, nothing_hidden),
+    "mates": (unchanged_task, without_other_robots),
+    "news": (unchanged_task, without_news),
+    "messages": (base_only_task, nothing_hidden),
+    "perfect radio": (perfect_radio_task, nothing_hidden),
+}
+"""Ablations of robots that choose goals; without `messages` they still report to their base."""
+
+
+def ablations_of(task: TeamTask) -> Ablations:
+    """Return the ablations of a task's policies.
+
+    Raises:
+        UsageError: The task has goals, but its robots do not choose them.
+    """
+    if not isinstance(task, ExploreBase):
+        return ABLATIONS
+    if not task.discrete:
+        raise UsageError(
+            f"--ablate takes robots that choose goals: expected actions=goals, not {task.actions}"
+        )
+    return GOAL_ABLATIONS
 
 
 def hidden_policy(policy: Policy, hide: Hide, others: int) -> Policy:
@@ -109,7 +166,7 @@ class AblationRow:
 
     Attributes:
         team: The team.
-        without: Part that was taken away, a key of `ABLATIONS`.
+        without: Part that was taken away, a key of `ablations_of(task)`.
         result: Its result.
         difference: Score less that with nothing taken away, in the same buildings.
     """
@@ -154,19 +211,21 @@ def ablate(
 
     Raises:
         UnknownNameError: No such team.
-        UsageError: Observations without these parts, or a policy that does not fit.
+        UsageError: Observations or actions without these parts, or a policy that does not fit.
     """
     envs: dict[TeamTask, Env] = {}  # each is compiled once
     rows: list[AblationRow] = []
+    ablations = ablations_of(task)
     for team in teams:
         change, driver = find_team(team)
         whole: TeamResult | None = None
-        for without, (alter, hide) in ABLATIONS.items():
+        for without, (alter, hide) in ablations.items():
             own = alter(change(task))
             if own not in envs:
                 envs[own] = build_env(own, worlds, name=name, engine=engine)
             env = envs[own]
-            check_layout(env)
+            if ablations is ABLATIONS:
+                check_layout(env)
             policy = hidden_policy(driver(env), hide, env.scene.num_robots - 1)
             result = play_team(env, own, policy, f"{team} without {without}", seed)
             whole = whole or result
