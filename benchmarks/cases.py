@@ -439,13 +439,20 @@ class TrainCase:
 
 @dataclass(frozen=True, kw_only=True)
 class ScorecardCase:
-    """Manoeuvres of robots under two settings of the physics."""
+    """Manoeuvres of robots under two settings of the physics, or on two engines."""
 
     robot: Annotated[
         list[str],
         typer.Option(help="Class that is driven; may be repeated. Else all.", callback=named("robot")),
     ] = field(default_factory=list)
     physics: Annotated[str, typer.Option(help="Settings beside the reference's.")] = "fast"
+    engine: Annotated[
+        str,
+        typer.Option(
+            help="Engine that applies them; the reference is on c. Others than c show every number.",
+            callback=named("engine"),
+        ),
+    ] = "c"
     jobs: Annotated[int, typer.Option(min=1, help="Processes at once.")] = 1
 
 

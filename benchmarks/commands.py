@@ -135,7 +135,7 @@ def bench_train(
 @app.command("physics")
 @with_settings
 def bench_physics(case: ScorecardCase, record: RecordOptions) -> None:
-    """Drive every class through manoeuvres under settings of the physics and under the reference's."""
+    """Drive every class through manoeuvres under settings or on an engine, and under the reference's on c."""
     with ErrorExit():
         announce("driving ...", keep=False)
         from benchmarks.fidelity.scorecard import write_scorecard

@@ -1,13 +1,14 @@
 """The manoeuvres: each is driven once and gives one number."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from benchmarks.fidelity.track import MAX_SPEED, Order, Orders, Track, orders_of, touches_ground
+from benchmarks.fidelity.conditions import Conditions, SingleTrack
+from benchmarks.fidelity.track import MAX_SPEED, Ground, Order, Orders, orders_of, touches_ground
 from usarmjx.base.errors import EngineError
 from usarmjx.models.compile.measure import bounding_box
 from usarmjx.models.compile.physics import Physics
@@ -29,10 +30,10 @@ AWAY = (3.0, 0.0, HALF)
 """Where a block lies until it is put between the fingers [m]."""
 
 
-def flipper_lift(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def flipper_lift(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Height gained when it stands on its flippers, after 8 s [m]."""
     assert orders.flippers is not None
-    track = Track(physics, robot)
+    track = conditions.track(robot)
     track.run(1.0)
     low = track.pose()[0][2]
     track.move(orders.flippers)
@@ -52,7 +53,8 @@ class Grasp:
 
     def __init__(self, physics: Physics, robot: RobotSpec, gripper: int, mass: float) -> None:
         shape = Shape(kind="box", size=(HALF, HALF, HALF), mass=mass, surface="loose")
-        self.track = Track(physics, robot, loose=(LooseObject(name="block", at=AWAY, shapes=(shape,)),))
+        block = LooseObject(name="block", at=AWAY, shapes=(shape,))
+        self.track = SingleTrack(physics, robot, Ground(loose=(block,)))
         self._hand = effecters_of(robot)[gripper]
         engine = self.track.world.engine
         self._block = engine.model.body("loose/block").id
@@ -80,12 +82,12 @@ class Grasp:
         return bool(np.linalg.norm(apart) < HELD)
 
 
-def gripper_hold(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def gripper_hold(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """The heaviest block that its gripper holds for 4 s [kg]; 0: none."""
     assert orders.gripper is not None
     heaviest = 0.0
     for mass in MASSES:
-        grasp = Grasp(physics, robot, orders.gripper, mass)
+        grasp = Grasp(conditions.physics, robot, orders.gripper, mass)
         grasp.track.run(4.0)
         if not grasp.holds:
             break
@@ -121,47 +123,47 @@ def _slowly(orders: Orders) -> Order:
     return {key: SHARE * value for key, value in orders.straight.items()}
 
 
-def top_speed(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def top_speed(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Distance in 4 s from a standing start [m]."""
-    track = Track(physics, robot)
+    track = conditions.track(robot)
     track.tell(orders.straight)
     track.run(4.0)
     return float(np.linalg.norm(track.pose()[0][:2]))
 
 
-def spin(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def spin(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Turn on the spot in 6 s [rad]."""
     assert orders.spin is not None
-    track = Track(physics, robot)
+    track = conditions.track(robot)
     track.tell(orders.spin)
     return track.turn(6.0)
 
 
-def arc(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def arc(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Turn round a bend in 6 s [rad]."""
     assert orders.arc is not None
-    track = Track(physics, robot)
+    track = conditions.track(robot)
     track.tell(orders.arc)
     return track.turn(6.0)
 
 
-def ramp_hold(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def ramp_hold(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Way that it creeps in 5 s on a slope of 15 degrees, from 1 s after it was put there [m]."""
     del orders
-    track = Track(physics, robot, (RAMP,), slope=SLOPE)
+    track = conditions.track(robot, Ground((RAMP,), slope=SLOPE))
     track.run(1.0)
     before = track.pose()[0]
     track.run(5.0)
     return float(np.linalg.norm(track.pose()[0] - before))
 
 
-def climb(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def climb(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """The highest board that it gets onto [m]."""
     height = 0.0
     for board in BOARDS:
         x = _ahead(robot)
         step = Shape(kind="box", size=(10.0, 5.0, board / 2), at=(x + 10.0, 0.0, board / 2))
-        track = Track(physics, robot, (step,))
+        track = conditions.track(robot, Ground((step,)))
         track.tell(_slowly(orders))
         track.run(3.0 * (x + LENGTH) / (SHARE * min(robot.drive.top_speed, MAX_SPEED)))
         if track.pose()[0][0] < x:
@@ -170,47 +172,80 @@ def climb(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
     return height
 
 
-def wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def wall(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Way in 5 s of driving straight at a wall [m]."""
     x = _ahead(robot)
     block = Shape(kind="box", size=(0.1, 10.0, 2.0), at=(x + 0.1, 0.0, 0.0))
-    track = Track(physics, robot, (block,))
+    track = conditions.track(robot, Ground((block,)))
     track.tell(_slowly(orders))
     track.run(5.0)
     return float(track.pose()[0][0])
 
 
-def oblique_wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def oblique_wall(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Way in 5 s against a wall that stands 30 degrees from its way [m]."""
     x = _ahead(robot)
     block = Shape(
         kind="box", size=(10.0, 0.1, 2.0), at=(x, 0.0, 0.0), rotation=(0.0, 0.0, math.radians(30.0))
     )
-    track = Track(physics, robot, (block,))
+    track = conditions.track(robot, Ground((block,)))
     track.tell(_slowly(orders))
     track.run(5.0)
     return float(np.linalg.norm(track.pose()[0][:2]))
 
 
-def head_on(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def head_on(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Distance of two robots that drive at each other for 5 s [m]."""
     x = _ahead(robot)
-    track = Track(physics, robot, poses=((-x, 0.0, 0.0), (x, 0.0, math.pi)))
+    track = conditions.track(robot, Ground(poses=((-x, 0.0, 0.0), (x, 0.0, math.pi))))
     for slot in (0, 1):
         track.tell(_slowly(orders), slot)
     track.run(5.0)
     return float(np.linalg.norm((track.pose(0)[0] - track.pose(1)[0])[:2]))
 
 
-def push(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+def push(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Way that a block of 2 kg is pushed in 5 s [m]."""
     x, half = _ahead(robot), 0.15
     shape = Shape(kind="box", size=(half, 0.4, half), mass=BLOCK_MASS)
-    track = Track(physics, robot, loose=(LooseObject(name="block", at=(x, 0.0, half), shapes=(shape,)),))
-    body = track.world.engine.model.body("loose/block").id
+    block = LooseObject(name="block", at=(x, 0.0, half), shapes=(shape,))
+    track = conditions.track(robot, Ground(loose=(block,)))
     track.tell(_slowly(orders))
     track.run(5.0)
-    return float(track.world.engine.data.xpos[body][0] - x)
+    return float(track.thing()[0] - x)
+
+
+def speed(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
+    """Speed from 3 to 4 s after a standing start [m/s]."""
+    track = conditions.track(robot)
+    track.tell(orders.straight)
+    track.run(3.0)
+    before = track.pose()[0]
+    track.run(1.0)
+    return float(np.linalg.norm(track.pose()[0] - before))
+
+
+def stop(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
+    """Way in the 2 s after the order to stand, which comes at top speed [m]."""
+    track = conditions.track(robot)
+    track.tell(orders.straight)
+    track.run(4.0)
+    before = track.pose()[0]
+    track.tell(dict.fromkeys(orders.straight, 0.0))
+    track.run(2.0)
+    return float(np.linalg.norm(track.pose()[0] - before))
+
+
+def turning_rate(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
+    """Rate of turn on the spot, from 2 to 5 s after standing still [rad/s]."""
+    assert orders.spin is not None
+    track = conditions.track(robot)
+    track.tell(orders.spin)
+    track.run(2.0)
+    return track.turn(3.0) / 3.0
+
+
+ENGINES = ("c", "jax", "warp", "planar")
 
 
 @dataclass(frozen=True)
@@ -223,13 +258,16 @@ class Manoeuvre:
         least: A difference that counts for nothing, however small the number.
         ground: Whether it needs ground under the robot.
         needs: The one of `Orders` that it needs.
+        engines: Engines that can do it: to `planar` things that lie loose are walls, and blocks are put
+            between fingers in a single world only.
     """
 
-    measure: Callable[[Physics, RobotSpec, Orders], float]
+    measure: Callable[[Conditions, RobotSpec, Orders], float]
     unit: str
     least: float
     ground: bool = True
     needs: str = "straight"
+    engines: tuple[str, ...] = ENGINES
 
     def fits(self, robot: RobotSpec, orders: Orders | None) -> bool:
         """Return whether a class can be driven so."""
@@ -249,22 +287,38 @@ MANOEUVRES = {
     "wall": Manoeuvre(wall, "m", 0.02),
     "oblique wall": Manoeuvre(oblique_wall, "m", 0.05),
     "head-on": Manoeuvre(head_on, "m", 0.02),
-    "push": Manoeuvre(push, "m", 0.05),
-    "flipper lift": Manoeuvre(flipper_lift, "m", 0.005, needs="flippers"),
-    "gripper hold": Manoeuvre(gripper_hold, "kg", 0.1, needs="gripper"),
+    "push": Manoeuvre(push, "m", 0.05, engines=("c", "jax", "warp")),
+    "flipper lift": Manoeuvre(flipper_lift, "m", 0.005, needs="flippers", engines=("c", "jax", "warp")),
+    "gripper hold": Manoeuvre(gripper_hold, "kg", 0.1, needs="gripper", engines=("c",)),
 }
+"""Those of every card."""
+SHEET_MANOEUVRES = {
+    "speed": Manoeuvre(speed, "m/s", 0.01, ground=False),
+    "stop": Manoeuvre(stop, "m", 0.02),
+    "turning rate": Manoeuvre(turning_rate, "rad/s", 0.02, ground=False, needs="spin"),
+}
+"""Those beside which data sheets have figures, and the way to a stop: of cards of engines."""
 
 
-def drive_all(physics: Physics, robot: RobotSpec) -> dict[str, float]:
+def manoeuvres_on(engine: str) -> dict[str, Manoeuvre]:
+    """Return the manoeuvres of a card of an engine; that of `c` has none beside data sheets."""
+    if engine == "c":
+        return MANOEUVRES
+    return {name: one for name, one in (SHEET_MANOEUVRES | MANOEUVRES).items() if engine in one.engines}
+
+
+def drive_all(
+    conditions: Conditions, robot: RobotSpec, manoeuvres: Mapping[str, Manoeuvre] = MANOEUVRES
+) -> dict[str, float]:
     """Return the numbers of all manoeuvres that fit a class; NaN where the physics went bad."""
     orders = orders_of(robot)
     if orders is None:
         return {}
     numbers: dict[str, float] = {}
-    for name, manoeuvre in MANOEUVRES.items():
+    for name, manoeuvre in manoeuvres.items():
         if manoeuvre.fits(robot, orders):
             try:
-                numbers[name] = manoeuvre.measure(physics, robot, orders)
+                numbers[name] = manoeuvre.measure(conditions, robot, orders)
             except EngineError:
                 numbers[name] = math.nan
     return numbers

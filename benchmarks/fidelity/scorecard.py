@@ -1,4 +1,4 @@
-"""Settings of the physics against the reference settings: every class, every manoeuvre."""
+"""Settings of the physics, or an engine, against the reference: every class, every manoeuvre."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -8,8 +8,10 @@ from multiprocessing import get_context
 from typing import Any
 
 from benchmarks.cases import RecordOptions, ScorecardCase
-from benchmarks.fidelity.manoeuvres import MANOEUVRES, drive_all
+from benchmarks.fidelity.conditions import Conditions
+from benchmarks.fidelity.manoeuvres import MANOEUVRES, SHEET_MANOEUVRES, drive_all, manoeuvres_on
 from benchmarks.tools import append_record, record_header
+from usarmjx.engines.base import choose_engine
 from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 
@@ -20,14 +22,19 @@ Card = dict[str, dict[str, float]]
 """The number of each manoeuvre of each class."""
 
 
-def _drive(name: str, physics: Physics) -> dict[str, float]:
-    return drive_all(physics, ROBOTS.get(name))
+ALL_MANOEUVRES = SHEET_MANOEUVRES | MANOEUVRES
 
 
-def measure_cards(settings: Sequence[Physics], names: Iterable[str], jobs: int = 1) -> list[Card]:
-    """Return the cards of several settings, measured by so many processes at once."""
+def _drive(name: str, conditions: Conditions, engine: str) -> dict[str, float]:
+    return drive_all(conditions, ROBOTS.get(name), manoeuvres_on(engine))
+
+
+def measure_cards(
+    settings: Sequence[Conditions], names: Iterable[str], jobs: int = 1, engine: str = "c"
+) -> list[Card]:
+    """Return the cards of several conditions, of what an engine can do, by so many processes at once."""
     classes = list(names)
-    work = [(name, physics) for physics in settings for name in classes]
+    work = [(name, conditions, engine) for conditions in settings for name in classes]
     if jobs == 1:
         numbers = [_drive(*pair) for pair in work]
     else:
@@ -42,13 +49,13 @@ def differences(reference: Card, other: Card) -> Iterator[tuple[str, str, float,
     for name, numbers in reference.items():
         for manoeuvre, wanted in numbers.items():
             found = other[name][manoeuvre]
-            slack = max(MANOEUVRES[manoeuvre].least, TOLERATED * abs(wanted))
+            slack = max(ALL_MANOEUVRES[manoeuvre].least, TOLERATED * abs(wanted))
             if not abs(found - wanted) <= slack:
                 yield name, manoeuvre, wanted, found
 
 
 def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> str:
-    """Measure settings beside the reference settings; append a record; return a summary for people.
+    """Measure settings and engine beside the reference settings on `c`; append a record; return a summary.
 
     Raises:
         UnknownNameError: There is no such class, or no such settings.
@@ -56,16 +63,18 @@ def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> 
     physics = PHYSICS.get(case.physics)
     classes = [ROBOTS.get(name).name for name in case.robot or ROBOTS.names()]
     header = record_header("physics", host=True, note=options.note)
-    reference, card = measure_cards((Physics(), physics), classes, case.jobs)
+    engine = choose_engine(case.engine, "batch")
+    conditions = Conditions(), Conditions(physics, engine)
+    reference, card = measure_cards(conditions, classes, case.jobs, engine)
     record: dict[str, Any] = {
         **header,
-        "case": {"classes": classes, "jobs": case.jobs},
+        "case": {"classes": classes, "jobs": case.jobs, "engine": engine},
         "scene": None,
         "rates": {},
         "baselines": {"reference settings": {"what": "each number has the reference's before it"}},
         "reference": asdict(Physics()),
         "settings": asdict(physics),
-        "units": {name: manoeuvre.unit for name, manoeuvre in MANOEUVRES.items()},
+        "units": {name: manoeuvre.unit for name, manoeuvre in manoeuvres_on(engine).items()},
         "numbers": {
             name: {key: [_known(value), _known(card[name][key])] for key, value in numbers.items()}
             for name, numbers in reference.items()
@@ -74,7 +83,7 @@ def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> 
         "differing": [list(row[:2]) for row in differences(reference, card)],
     }
     append_record(record, options.json)
-    return summary(reference, card)
+    return (summary if engine == "c" else engine_summary)(reference, card)
 
 
 def _known(value: float) -> float | None:
@@ -83,11 +92,22 @@ def _known(value: float) -> float | None:
 
 
 def summary(reference: Card, card: Card) -> str:
-    """Return a table of shares of the reference, of the manoeuvres that differ, for people."""
-    rows = [
-        f"{name:12} {manoeuvre:13} {wanted:8.3f} -> {found:8.3f} {MANOEUVRES[manoeuvre].unit}"
-        for name, manoeuvre, wanted, found in differences(reference, card)
-    ]
+    """Return a table of both numbers of the manoeuvres that differ, for people."""
+    apart = list(differences(reference, card))
     total = sum(len(numbers) for numbers in reference.values())
-    head = f"{total - len(rows)} of {total} numbers within {TOLERATED:.0%} of the reference; the others:"
-    return "\n".join([head, *rows])
+    head = f"{total - len(apart)} of {total} numbers within {TOLERATED:.0%} of the reference; the others:"
+    return "\n".join([head, *(_row(*row) for row in apart)])
+
+
+def engine_summary(reference: Card, card: Card) -> str:
+    """Return a table of both numbers of all manoeuvres, for people; * marks those that differ."""
+    apart = {row[:2] for row in differences(reference, card)}
+    return "\n".join(
+        f"{_row(name, manoeuvre, wanted, card[name][manoeuvre])}{' *' * ((name, manoeuvre) in apart)}"
+        for name, numbers in reference.items()
+        for manoeuvre, wanted in numbers.items()
+    )
+
+
+def _row(name: str, manoeuvre: str, wanted: float, found: float) -> str:
+    return f"{name:12} {manoeuvre:13} {wanted:8.3f} -> {found:8.3f} {ALL_MANOEUVRES[manoeuvre].unit}"

@@ -1,17 +1,15 @@
 """A piece of ground with robots of one class on it, and how they are told to go."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
-from usarmjx.base.backend import numpy_backend
-from usarmjx.base.errors import EngineError
-from usarmjx.base.transforms import quat_from_angles
+from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.models.compile.parts import joint_names
-from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives import Blimp, RotaryWing, Underwater
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.gripper import Gripper
@@ -19,15 +17,12 @@ from usarmjx.models.robots.track_kit import FLIPPERS
 from usarmjx.models.types.arena import ArenaSpec, LooseObject, StartPose, Water
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import Shape
-from usarmjx.sim.control import CommandUpdate, idle_command, set_drive, update_command
-from usarmjx.sim.scene import build_scene, start_height
-from usarmjx.sim.single_world import SingleWorld
 
 MAX_SPEED = 3.0
 """Fastest that any robot is driven [m/s]."""
 FLIPPER_ANGLE = 1.5
 """[rad]"""
-START = StartPose(tag="start", at=(0.0, 0.0, 0.0))
+START = StartPose(tag="start0", at=(0.0, 0.0, 0.0))
 SEA = (Water(low=(-200.0, -200.0, -90.0), high=(200.0, 200.0, 90.0)),)
 Order = Mapping[str, float]
 LIFTED: Order = dict(
@@ -97,65 +92,81 @@ def touches_ground(robot: RobotSpec) -> bool:
     return not isinstance(robot.drive, RotaryWing | Blimp | Underwater)
 
 
-class Track:
-    """A world of C MuJoCo with robots of a class on a piece of ground.
+@dataclass(frozen=True)
+class Ground:
+    """A piece of ground and the poses of robots on it.
 
-    Args:
-        physics: The settings.
-        robot: The class.
+    Attributes:
         shapes: Things that stand there.
         loose: Things that lie there.
         poses: Poses of robots: x, y [m] and heading [rad] of each.
         slope: Slope ahead of the ground, which is one of the shapes then [rad].
-
-    Attributes:
-        world: The world.
     """
 
-    def __init__(
-        self,
-        physics: Physics,
-        robot: RobotSpec,
-        shapes: tuple[Shape, ...] = (),
-        loose: tuple[LooseObject, ...] = (),
-        poses: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),),
-        slope: float = 0.0,
-    ) -> None:
-        arena = ArenaSpec(
+    shapes: tuple[Shape, ...] = ()
+    loose: tuple[LooseObject, ...] = ()
+    poses: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+    slope: float = 0.0
+
+    def arena(self, robot: RobotSpec) -> ArenaSpec:
+        """Return the arena for robots of a class."""
+        return ArenaSpec(
             name="track",
-            has_floor=touches_ground(robot) and not slope,
-            shapes=shapes,
-            loose=loose,
-            starts=(START,),
+            has_floor=touches_ground(robot) and not self.slope,
+            shapes=self.shapes,
+            loose=self.loose,
+            starts=tuple(replace(START, tag=f"start{i}") for i in range(len(self.poses))),
             waters=SEA if isinstance(robot.drive, Underwater) else (),
             extent=((-50, 50), (-50, 50)),
         )
-        self._robot, self._physics = robot, physics
-        self.world = SingleWorld(build_scene(arena, [], physics), seats=len(poses))
-        height = start_height(arena, START, robot) + 0.01
-        ahead, up = (math.cos(slope), math.sin(slope)), (-math.sin(slope), math.cos(slope))
-        for i, (x, y, yaw) in enumerate(poses):
-            place = (x * ahead[0] + height * up[0], y, x * ahead[1] + height * up[1])
-            self.world.add(robot, f"robot{i}", [(place, quat_from_angles(0.0, -slope, yaw))])
 
+    def places(self, height: float) -> list[tuple[Vec3, np.ndarray]]:
+        """Return position [m] and orientation (4,) of each robot, its origin so far above the ground [m]."""
+        ahead = (math.cos(self.slope), math.sin(self.slope))
+        up = (-math.sin(self.slope), math.cos(self.slope))
+        return [
+            (
+                (x * ahead[0] + height * up[0], y, x * ahead[1] + height * up[1]),
+                quat_from_angles(0.0, -self.slope, yaw),
+            )
+            for x, y, yaw in self.poses
+        ]
+
+
+class Track(ABC):
+    """A world with robots of a class on a piece of ground.
+
+    Args:
+        robot: The class.
+        period: Length of a control step [s].
+    """
+
+    def __init__(self, robot: RobotSpec, period: float) -> None:
+        self.robot, self._period = robot, period
+
+    @abstractmethod
     def tell(self, order: Order, slot: int = 0) -> None:
         """Give a robot an order."""
-        with numpy_backend():
-            values = {key: np.array(value, np.float32) for key, value in order.items()}
-            self.world.edit(slot, command=set_drive(self._robot, idle_command(self._robot), values))
 
+    @abstractmethod
     def move(self, targets: Order) -> None:
         """Tell joints of the first robot where to go [rad]."""
-        with numpy_backend():
-            plan = self.world.scene.groups[0].plan
-            angles = {joint: np.array(angle, np.float32) for joint, angle in targets.items()}
-            told = update_command(plan, self.world.state_of(0).command, CommandUpdate(joints=angles))
-            self.world.edit(0, command=told)
 
-    def body(self, part: str) -> int:
-        """Return the body of a part of the first robot."""
-        group = self.world.scene.groups[0]
-        return int(group.indices[0].body_ids[group.plan.parts.index(part)])
+    @abstractmethod
+    def advance(self, steps: int) -> None:
+        """Let some control steps pass.
+
+        Raises:
+            EngineError: The physics went bad.
+        """
+
+    @abstractmethod
+    def root(self, slot: int = 0) -> np.ndarray:
+        """Return position [m] and orientation of a robot (7,)."""
+
+    @abstractmethod
+    def thing(self) -> np.ndarray:
+        """Return where the first thing that lies there is now [m] (3,)."""
 
     def run(self, seconds: float) -> None:
         """Let time pass.
@@ -163,17 +174,14 @@ class Track:
         Raises:
             EngineError: The physics went bad.
         """
-        for _ in range(round(seconds / self._physics.period)):
-            if self.world.step():
-                raise EngineError(f"the physics of {self._robot.name} went bad at {self.world.time:.2f} s")
+        self.advance(round(seconds / self._period))
 
     def pose(self, slot: int = 0) -> tuple[np.ndarray, float]:
         """Return a robot's position [m] (3,) and heading [rad]."""
-        group, member = self.world.scene.group_of(slot)
-        pose = self.world.engine.pose(self.world.scene.groups[group].indices[member])
+        root = self.root(slot)
         mat = np.zeros(9)
-        mujoco.mju_quat2Mat(mat, pose[3:])
-        return pose[:3], math.atan2(mat[3], mat[0])
+        mujoco.mju_quat2Mat(mat, root[3:])
+        return root[:3], math.atan2(mat[3], mat[0])
 
     def turn(self, seconds: float) -> float:
         """Let time pass; return how far the first robot turns [rad], with whole turns counted."""

@@ -97,11 +97,16 @@ def settings_words(record: BenchRecord) -> str:
     return ", ".join(f"{name} {settings[name]}" for name in SHOWN)
 
 
+def _settings_records(records: Sequence[BenchRecord]) -> list[BenchRecord]:
+    """Return the records of settings, not of engines."""
+    return [one for one in of(records, "physics") if one.data["case"].get("engine", "c") == "c"]
+
+
 def physics_table(records: Sequence[BenchRecord]) -> str:
     """Count of numbers that are the reference's."""
     head = ("when", "commit", "on", "settings", "numbers within 10 % of the reference")
     rows = []
-    for record in of(records, "physics"):
+    for record in _settings_records(records):
         total = sum(len(numbers) for numbers in record.data["numbers"].values())
         within = f"{total - len(record.data['differing'])} of {total}"
         rows.append([record.when, record.data["commit"], record.where, settings_words(record), within])
@@ -110,7 +115,7 @@ def physics_table(records: Sequence[BenchRecord]) -> str:
 
 def differences_text(records: Sequence[BenchRecord]) -> str:
     """Classes that behave otherwise under the settings, with both numbers."""
-    newest = {json.dumps(one.data["settings"], sort_keys=True): one for one in of(records, "physics")}
+    newest = {json.dumps(one.data["settings"], sort_keys=True): one for one in _settings_records(records)}
     return "\n".join(map(_differences, newest.values())) or table((), ())
 
 

@@ -7,11 +7,24 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.cases import RecordOptions, ScorecardCase
-from benchmarks.fidelity.manoeuvres import drive_all, flipper_lift, gripper_hold, spin, top_speed
-from benchmarks.fidelity.scorecard import differences, write_scorecard
-from benchmarks.fidelity.track import Orders, Track, orders_of
+from benchmarks.fidelity.conditions import OPEN, BatchTrack, Conditions, SingleTrack
+from benchmarks.fidelity.manoeuvres import (
+    drive_all,
+    flipper_lift,
+    gripper_hold,
+    manoeuvres_on,
+    push,
+    speed,
+    spin,
+    stop,
+    top_speed,
+    turning_rate,
+)
+from benchmarks.fidelity.scorecard import differences, engine_summary, write_scorecard
+from benchmarks.fidelity.track import Orders, orders_of
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import SpecError, UnknownNameError
+from usarmjx.engines.planar.responses import packaged_responses
 from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.effecters import gripper
 from usarmjx.models.robots import ROBOTS
@@ -24,7 +37,9 @@ P2AT = ROBOTS.get("P2AT")
 @pytest.mark.parametrize("name", ["P2AT", "P2DX", "Zerg"])
 def test_what_these_classes_do_under_the_fast_settings_is_what_they_do_under_the_reference(name):
     """docs/evidence/speed.md lists no differences of theirs."""
-    reference, fast = ({name: drive_all(one, ROBOTS.get(name))} for one in (Physics(), Physics.fast()))
+    reference, fast = (
+        {name: drive_all(Conditions(one), ROBOTS.get(name))} for one in (Physics(), Physics.fast())
+    )
     assert list(differences(reference, fast)) == []
     assert len(reference[name]) == 9  # nothing to lift or to grip with
 
@@ -35,7 +50,7 @@ def test_flippers_lift_as_the_page_of_robots_says(name, lever):
     robot = ROBOTS.get(name)
     orders = orders_of(robot)
     assert orders is not None
-    assert flipper_lift(Physics(), robot, orders) == pytest.approx(lever, abs=0.001)
+    assert flipper_lift(Conditions(), robot, orders) == pytest.approx(lever, abs=0.001)
 
 
 def test_a_gripper_holds_no_more_than_the_friction_of_its_fingers_carries(monkeypatch):
@@ -49,7 +64,7 @@ def test_a_gripper_holds_no_more_than_the_friction_of_its_fingers_carries(monkey
         robot = replace(ROBOTS.get("Talon"), name=f"Talon{force:g}")
         orders = orders_of(robot)
         assert orders is not None
-        held.append(gripper_hold(Physics(), robot, orders))
+        held.append(gripper_hold(Conditions(), robot, orders))
         assert 0.0 < held[-1] <= 2 * force * SURFACES["finger"].friction / 9.81
     assert held[0] > held[1]
 
@@ -58,7 +73,7 @@ def test_the_top_speed_is_that_of_its_wheels():
     """Wheel speed times radius, less what 4 s from a standing start and the slip cost: a tenth at most."""
     orders = orders_of(P2AT)
     assert orders is not None
-    distance = top_speed(Physics(), P2AT, orders)
+    distance = top_speed(Conditions(), P2AT, orders)
     assert 0.9 * 4.0 * P2AT.drive.top_speed < distance < 4.0 * P2AT.drive.top_speed
 
 
@@ -66,7 +81,41 @@ def test_whole_turns_are_counted():
     """A P2AT spins at 140 degrees a second (manual 12.1.1): more than two turns in 6 s, with its start."""
     orders = orders_of(P2AT)
     assert orders is not None
-    assert spin(Physics(), P2AT, orders) == pytest.approx(6 * math.radians(140), rel=0.05)
+    assert spin(Conditions(), P2AT, orders) == pytest.approx(6 * math.radians(140), rel=0.05)
+
+
+def test_on_planar_speed_and_turning_rate_are_those_of_the_wheels_times_the_gains_of_the_class():
+    """Rolling at w r, and turning on the spot at 2 w r / track, each times its packaged gain."""
+    orders, gains = orders_of(P2AT), packaged_responses()["P2AT"]["response"]
+    assert orders is not None
+    planar, rim = Conditions(engine="planar"), P2AT.drive.max_spin * P2AT.drive.radius
+    assert speed(planar, P2AT, orders) == pytest.approx(gains["gain"] * rim, rel=1e-3)
+    wanted = gains["turn_gain"] * 2 * rim / P2AT.wheel_separation
+    assert turning_rate(planar, P2AT, orders) == pytest.approx(wanted, rel=1e-3)
+    assert 0.0 < stop(planar, P2AT, orders) < 0.5 * rim
+
+
+def test_a_batch_of_one_drives_and_pushes_as_a_single_world(monkeypatch):
+    """Both are C MuJoCo; the batch begins standing, the single world is put on its floor."""
+    orders = orders_of(P2AT)
+    assert orders is not None
+    alone = [drive(Conditions(), P2AT, orders) for drive in (top_speed, push)]
+    monkeypatch.setattr(Conditions, "track", lambda own, robot, ground=OPEN: BatchTrack(own, robot, ground))
+    assert [drive(Conditions(), P2AT, orders) for drive in (top_speed, push)] == pytest.approx(
+        alone, abs=2e-3
+    )
+
+
+def test_the_card_of_an_engine_has_what_it_can_do_and_figures_of_data_sheets():
+    assert "speed" not in manoeuvres_on("c")
+    assert (
+        {"speed", "turning rate", "stop", "push"}
+        <= manoeuvres_on("jax").keys()
+        == manoeuvres_on("warp").keys()
+    )
+    assert {"push", "flipper lift", "gripper hold"}.isdisjoint(manoeuvres_on("planar"))
+    text = engine_summary({"P2AT": {"speed": 0.7, "climb": 0.06}}, {"P2AT": {"speed": 0.71, "climb": 0.02}})
+    assert [line.endswith("*") for line in text.splitlines()] == [False, True]
 
 
 def test_a_difference_is_one_beyond_a_tenth_and_beyond_what_counts_for_nothing():
@@ -88,14 +137,14 @@ def test_the_record_has_both_numbers_of_every_manoeuvre(tmp_path):
 
 def test_a_manoeuvre_whose_physics_went_bad_has_no_number(monkeypatch, tmp_path):
     """A wheel's speed that is no number puts the robot back, and what it did then tells nothing."""
-    tell = Track.tell
+    tell = SingleTrack.tell
 
     def break_one_wheel(self, order, slot=0):
         tell(self, order, slot)
         self.world.engine.data.qvel[6] = math.nan
 
-    monkeypatch.setattr(Track, "tell", break_one_wheel)
-    numbers = drive_all(Physics(), P2AT)
+    monkeypatch.setattr(SingleTrack, "tell", break_one_wheel)
+    numbers = drive_all(Conditions(), P2AT)
     assert math.isnan(numbers["spin"])
     assert math.isfinite(numbers["ramp hold"])  # nobody tells it anything there
     file = tmp_path / "physics.jsonl"
@@ -107,7 +156,7 @@ def test_a_manoeuvre_whose_physics_went_bad_has_no_number(monkeypatch, tmp_path)
 
 def test_who_has_no_drive_has_no_numbers():
     assert orders_of(ROBOTS.get("ComStation")) is None
-    assert drive_all(Physics(), ROBOTS.get("ComStation")) == {}
+    assert drive_all(Conditions(), ROBOTS.get("ComStation")) == {}
     assert isinstance(orders_of(ROBOTS.get("Sedan")), Orders)
 
 
