@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
+from tests.engines.eager import AT_ONCE
 from tests.handy import block
 from tests.models.ini.texts import load_texts
 from tests.server.test_world_controller import say
-from usarmjx.base.errors import UsageError
+from usarmjx.engines.c.rays import CRayCaster
+from usarmjx.engines.planar.responses import override_response
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import Victim
@@ -18,8 +20,10 @@ from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.protocol.dialects import UDK
+from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import RosterEntry, build_scene
 
 HALF = (0.1, 0.4, 0.4)
 WALL = Shape(kind="box", at=(3.0, 2.0, 0.5), size=(0.1, 0.5, 0.5))
@@ -110,8 +114,47 @@ def test_beyond_its_range_there_are_no_objects_and_other_worlds_do_not_know_any(
     assert answer.endswith("{Status OK}")
     (conf,) = say(client, "GETCONF {Type ObjectSensor}")
     assert "{MaxRange 1.0000}" in conf
-    with pytest.raises(UsageError, match="no objects for R1: only a single world of engine c"):
-        ServedWorld.met_objects(client._world, robot, 0)
+
+
+def test_a_single_world_casts_the_rays_of_a_reading_once(client, monkeypatch):
+    """The reading's ranges and the objects of its message are of the same cast."""
+    casts, cast = [], CRayCaster.hit_geoms
+
+    def counted(own, start, *more):
+        casts.append(len(start))
+        return cast(own, start, *more)
+
+    monkeypatch.setattr(CRayCaster, "hit_geoms", counted)
+    beams = client.robot.suite.ray_counts[0]
+    heard(client, steps=50)
+    assert casts.count(beams) == 5, "5 readings in 1 s, 0.2 s apart"
+
+
+@pytest.mark.parametrize(
+    "engine", ["planar", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("c", "jax"))]
+)
+def test_worlds_of_batches_name_the_same_objects(client, engine):
+    """Nothing has moved: C MuJoCo meets what it met in the single world, wherever the batch is computed."""
+    wanted = objects_of(heard(client))[1]
+    override_response(seer(), AT_ONCE)
+    roster = [RosterEntry(robot=robot, parked=True) for robot in (seer(), P2AT)]
+    world = BatchWorld(Batch(build_scene(ARENA, roster), 2, engine=engine), 1)
+    guest = Client(world, "peer", dialect=UDK)
+    say_init(guest, "INIT {ClassName USARBot.Seer} {Name R1} {Location 0,0,-0.3}")
+    found = objects_of(heard(guest))[1]
+    assert (
+        [name for name, *_ in found]
+        == [name for name, *_ in wanted]
+        == ["Ada", "Big_crate", "StaticMeshActor"]
+    )
+    for (_, where, turned), (_, there, angles) in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(where, there, atol=0.011)
+        np.testing.assert_allclose(turned, angles, atol=0.011)
+    other = Client(world, "other", dialect=UDK)
+    say_init(other, "INIT {ClassName USARBot.P3AT} {Name R2} {Location 1,0,-0.3} {Rotation 0,0,1.5708}")
+    names = [name for name, *_ in objects_of(heard(guest))[1]]
+    assert "R2" in names
+    assert "Big_crate" not in names, "R2 hides it"
 
 
 def test_a_file_of_the_later_versions_mounts_one(tmp_path):

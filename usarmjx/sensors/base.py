@@ -198,6 +198,7 @@ class Sensor(ABC):
         needs_victims: Whether it uses victims, not only tags.
         needs_battery: Whether it uses the battery time.
         steers_rays: Whether its rays depend on its memory; see `steered_rays`.
+        names_objects: Whether its message names what its rays meet.
         settings_class: Class of its settings.
         opcodes: Parameters of the operations of SET, by name in capitals; an operation that is not here may
             have any number of them.
@@ -216,6 +217,7 @@ class Sensor(ABC):
     needs_victims: ClassVar[bool] = True
     needs_battery: ClassVar[bool] = False
     steers_rays: ClassVar[bool] = False
+    names_objects: ClassVar[bool] = False
     settings_class: ClassVar[type[Any]] = SensorSettings
     opcodes: ClassVar[dict[str, Parameters]] = {}
     quantities: ClassVar[tuple[Quantity, ...]] = ()

@@ -37,6 +37,7 @@ class ObjectSensor(RangeScanner):
     """
 
     kind = "ObjectSensor"
+    names_objects = True
     settings_class = ObjectSensorSettings
 
 

@@ -208,7 +208,7 @@ class Suite:
         if fans is None:
             wanted = (direction != 0).any() & (True if wanted is None else wanted)
         with named_scope(sensor.kind):
-            return cast(origin, direction, _query(sensor, slot, wanted), fans)
+            return cast(origin, direction, query_of(sensor, slot, wanted), fans)
 
     def _hits_on_numpy(
         self,
@@ -237,7 +237,7 @@ class Suite:
                         memory = jax.tree.map(lambda x, robot=robot: x[robot], own[i])
                     origin, direction = _rays(sensor, there, surroundings, memory)
                 if len(aimed := np.flatnonzero(direction.any(-1))):
-                    met = cast(origin[aimed], direction[aimed], _query(sensor, slot[robot]), None)
+                    met = cast(origin[aimed], direction[aimed], query_of(sensor, slot[robot]), None)
                     at = (*robot, self._rays_of(i).start + aimed)
                     distance[at], cosine[at] = met.distance, met.cosine
         return Hits(distance=distance, cosine=cosine)
@@ -438,7 +438,7 @@ def _rays_of_robots(
     return sensor.aimed_rays(bodies, surroundings) if is_vectorized(sensor.aimed_rays) else None
 
 
-def _query(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) -> RayQuery:
+def query_of(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) -> RayQuery:
     """Return the ray query of a sensor of the robot in a slot (), if its hits are wanted ()."""
     return RayQuery(
         transparent=sensor.transparent,
@@ -447,6 +447,7 @@ def _query(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) 
         incidence=sensor.needs_incidence,
         exclude_owner=slot,
         wanted=wanted,
+        kept_as=sensor.mounts[0].name if sensor.names_objects else "",
     )
 
 

@@ -42,8 +42,7 @@ from usarmjx.models.types.arena import ArenaSpec, LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.cameras.shading import RenderScene
-from usarmjx.sensors.rays.raycast import RayQuery
-from usarmjx.sensors.suite import migrate_memory, suite_of
+from usarmjx.sensors.suite import migrate_memory, query_of, suite_of
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.operate import EffecterCommand, OperationResult, operate
 from usarmjx.sim.radio import update_links
@@ -466,14 +465,15 @@ class SingleWorld:
 
     @numpy_backend()
     def met_geoms(self, slot: int, sensor: int) -> np.ndarray:
-        """Return the geoms that the rays of a robot's sensor meet within its range, -1 for none (rays,)."""
+        """Return the geoms that a robot's object sensor met within its range, -1 for none (rays,).
+
+        They are those of its last reading, or of now, if robots joined or left since then.
+        """
         group, _ = self.scene.group_of(slot)
-        own = self.scene.groups[group].suite.sensors[sensor]
-        rays = own.rays(self.sensor_input(slot).bodies)
-        start, along = (np.asarray(part, np.float64) for part in rays)
-        caster, query = self._caster(), RayQuery(transparent=own.transparent, max_distance=own.max_distance)
-        distance, _, geom = caster.hit_geoms(start, along, query, caster.geoms_of(slot))
-        return np.where(distance <= own.max_distance, geom, -1)
+        own, caster = self.scene.groups[group].suite.sensors[sensor], self._caster()
+        if (slot, own.mounts[0].name) not in caster.met:
+            caster(*own.rays(self.sensor_input(slot).bodies), query_of(own, np.int32(slot)))
+        return caster.met[slot, own.mounts[0].name]
 
     @numpy_backend()
     def operate(self, slot: int, effecter: int, opcode: Opcode, value: float) -> OperationResult:

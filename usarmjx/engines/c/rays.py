@@ -44,6 +44,10 @@ class CRayCaster:
         data: Its state.
         materials: Material of each geom (ngeom,); see `models.compile.materials.materials_of`.
         robots: Indices of each robot in the model, by slot.
+
+    Attributes:
+        met: Geoms that rays met within their range when last cast, -1 for none, by slot of the casting robot
+            and name of the query (rays,).
     """
 
     def __init__(
@@ -54,6 +58,7 @@ class CRayCaster:
         robots: Mapping[int, RobotIndex],
     ) -> None:
         self._model, self._data = model, data
+        self.met = dict[tuple[int, str], np.ndarray]()
         model.geom_group[:] = [MATERIALS.index(material) for material in materials]
         self._robot_state = {
             slot: np.flatnonzero(np.isin(model.geom_bodyid, index.body_ids)) for slot, index in robots.items()
@@ -71,8 +76,10 @@ class CRayCaster:
             return Hits(distance=np.full(count, np.inf, np.float32), cosine=np.zeros(count, np.float32))
         start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
         hidden = self.geoms_of(int(query.exclude_owner))
-        distance, normal, _ = self.hit_geoms(start, along, query, hidden)
+        distance, normal, geom = self.hit_geoms(start, along, query, hidden)
         met = distance <= query.max_distance
+        if query.kept_as:
+            self.met[int(query.exclude_owner), query.kept_as] = np.where(met, geom, -1)
         cosine = np.abs(_dot(normal, along)) if query.incidence else np.zeros(count)
         return Hits(
             distance=np.where(met, distance, np.inf).astype(np.float32),

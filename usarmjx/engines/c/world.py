@@ -96,7 +96,7 @@ class CWorld:
     def move(self, poses: GeomPoses | None) -> None:
         """Move the movable geoms to their current poses."""
         if poses is not None and self._moved_body is not None:
-            self._moved_body.move(self.model, poses.pos, poses.quat)
+            self._moved_body.move(self.model, poses.pos, poses.quat, poses.size)
 
     def advance(
         self, robots: Mapping[int, RobotIndex], limits: Mapping[int, float], homes: Mapping[int, Array]

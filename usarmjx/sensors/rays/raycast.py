@@ -117,6 +117,8 @@ class RayQuery(struct.PyTreeNode, kw_only=True):
         incidence: Whether to compute the angles of incidence.
         exclude_owner: Slot of the casting robot, whose own geoms are transparent ().
         wanted: Whether the result is needed; if not, nothing is hit (); None: yes.
+        kept_as: Name by which `CRayCaster` keeps the geoms that are met, for the casting robot; empty: it
+            does not, and other backends never do.
     """
 
     transparent: frozenset[str] = struct.field(pytree_node=False, default=frozenset())
@@ -125,6 +127,7 @@ class RayQuery(struct.PyTreeNode, kw_only=True):
     incidence: bool = struct.field(pytree_node=False, default=False)
     exclude_owner: Int[Array, ""] | np.int32 = EXCLUDE_NONE
     wanted: Bool[Array, ""] | None = None
+    kept_as: str = struct.field(pytree_node=False, default="")
 
 
 DEFAULT_QUERY = RayQuery()

@@ -29,6 +29,7 @@ from usarmjx.recording.inputs import WorldSetup, batch_setup, orders_of
 from usarmjx.sensors.cameras.picture import Picture
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.instances import check_instances
+from usarmjx.server.worlds.met_objects import MetObject, ObjectFinder
 from usarmjx.server.worlds.recorded import record_step, store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
@@ -121,6 +122,7 @@ class BatchWorld(ServedWorld):
         self._fetched: tuple[BatchState, tuple[World, PhysicsState]] | None = None
         self._steps, self._episode = self._shared.steps, int(self._state.worlds.episode[instance])
         self._homes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._finder: ObjectFinder | None = None
         self._shared.served.append(self)
         if not self._steps:
             self._advance()
@@ -348,6 +350,13 @@ class BatchWorld(ServedWorld):
             for sensor, reading in enumerate(mine):
                 if reading.fresh:
                     store_reading(self, robot, sensor, reading.value)
+
+    def met_objects(self, robot: Robot, sensor: int) -> list[MetObject]:
+        """Return the objects that the beams of a robot's object sensor meet now."""
+        if self._finder is None:
+            self._finder = ObjectFinder(self.scene)
+        names = {slot: one.name for slot, one in self.robots.items()}
+        return self._finder.find(*self.one_world(), (robot.slot, sensor), names, self.arena)
 
     def links(self, radio: RadioSettings) -> Links:
         """Return the radio links as they are now, by slot; those of the batch, if it has a radio."""

@@ -19,7 +19,7 @@ from usarmjx.recording.inputs import WorldSetup
 from usarmjx.sensors.cameras.picture import Picture
 from usarmjx.sensors.cameras.programs import PicturePrograms
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.worlds.met_objects import MetObject, met_objects
+from usarmjx.server.worlds.met_objects import MetObject, ObjectNames, met_objects
 from usarmjx.server.worlds.recorded import record_step, single_setup, store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
@@ -196,8 +196,9 @@ class DynamicWorld(ServedWorld):
 
     def met_objects(self, robot: Robot, sensor: int) -> list[MetObject]:
         """Return the objects that the beams of a robot's scanner meet."""
-        names = {slot: one.name for slot, one in self.robots.items()}
-        return met_objects(self._single, robot.slot, sensor, names)
+        single, robots = self._single, {slot: one.name for slot, one in self.robots.items()}
+        names = ObjectNames(robots, single.robots, self.arena, np.asarray(self.scene.victims.owner))
+        return met_objects(single.engine, single.met_geoms(robot.slot, sensor), names)
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""

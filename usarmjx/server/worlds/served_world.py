@@ -457,14 +457,9 @@ class ServedWorld(ABC):
             overlays += [robot.suite.sensors[index].overlay(own[index]) for index in drawn]
         return jax.device_get(overlays)
 
+    @abstractmethod
     def met_objects(self, robot: Robot, sensor: int) -> list[MetObject]:
-        """Return the objects that the beams of a robot's scanner meet, by the sensor's index.
-
-        Raises:
-            UsageError: The world cannot tell.
-        """
-        del sensor
-        raise UsageError(f"no objects for {robot.name}: only a single world of engine c names them")
+        """Return the objects that the beams of a robot's object sensor meet, by the sensor's index."""
 
     @abstractmethod
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
