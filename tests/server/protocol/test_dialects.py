@@ -2,10 +2,14 @@
 
 import pytest
 
+from tests.models.ini.texts import load_texts
 from tests.server.still_world import StillWorld
 from usarmjx.base.errors import UsageError
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.server.gamebots.adapter import Client
+from usarmjx.server.gamebots.sensors import geometry
 from usarmjx.server.protocol.commands import DriveRobot, GetConf, Init, LinkCommand, MisPkg, SetJoint
 from usarmjx.server.protocol.dialects import DIALECTS, MANUAL, UDK, find_dialect
 from usarmjx.server.protocol.grammar import format_message, parse_message
@@ -94,6 +98,23 @@ def test_what_udk_says(line, heard):
     message = parse_message(line)
     assert [format_message(one) for one in UDK.translate(message)] == heard
     assert list(MANUAL.translate(message)) == [message]
+
+
+def test_a_package_has_the_tip_of_its_section(tmp_path):
+    """TipOffset of Actuator.uc is in metres, and the origin unless a file says otherwise."""
+    mast = "[USARMisPkg.Mast]\nLinks=(Number=1)\nTipOffset=(X=0.1,Y=0,Z=-0.25)\n"
+    robot = (
+        "[USARBot.P2AT]\nAddMisPkgs=(PkgName=Pole,Location=(X=0,Y=0,Z=0),PkgClass=Class'USARMisPkg.Mast')\n"
+    )
+    loaded = load_texts(tmp_path, [mast, robot], (P2AT,))
+    (mounted,) = [one for one in loaded.robots if one.name == "P2AT"]
+    (actuators,) = geometry(kinematic_tree_of(mounted), "Actuator", "", UDK.package_types)
+    (heard,) = UDK.translate(actuators)
+    assert heard.all("Name") == ("CameraPanTilt", "Pole")
+    assert heard.all("Tip") == ("0.0000,0.0000,0.0000", "0.1000,0.0000,-0.2500")
+    assert heard.segments[-1][0] == "Tip"
+    (packages,) = geometry(kinematic_tree_of(mounted), "MisPkg", "")
+    assert packages.all("Tip") == (), "the manual has none"
 
 
 ASKED = [

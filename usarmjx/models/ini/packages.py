@@ -18,6 +18,7 @@ from usarmjx.models.ini.read import (
     as_name,
     as_number,
     as_struct,
+    as_vector,
     fail,
     number_of,
     reject_unknown,
@@ -56,8 +57,16 @@ class LinkLine:
     units: Units
 
 
-Definitions = Mapping[str, tuple[LinkLine, ...]]
-"""Links of each package class, by its name in lower case."""
+@dataclass(frozen=True)
+class Definition:
+    """What a file says of a package class: its links, none if it does not change them, and its tip [m]."""
+
+    links: tuple[LinkLine, ...] = ()
+    tip: Vec3 | None = None
+
+
+Definitions = Mapping[str, Definition]
+"""Definition of each package class, by its name in lower case."""
 
 
 def read_packages(files: Sequence[IniFile], notes: WarningLog) -> Definitions:
@@ -66,7 +75,7 @@ def read_packages(files: Sequence[IniFile], notes: WarningLog) -> Definitions:
     Raises:
         SpecError: An invalid link; names file and line.
     """
-    found: dict[str, tuple[LinkLine, ...]] = {}
+    found: dict[str, Definition] = {}
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
             if not name.startswith(PREFIX):
@@ -75,12 +84,15 @@ def read_packages(files: Sequence[IniFile], notes: WarningLog) -> Definitions:
             by_uu = section.last("bMountByUU")
             units = Units(by_uu is not None and as_bool(by_uu, by_uu.value, "bMountByUU"), file.uu_per_metre)
             for line in section.lines:
-                if line.key.lower() not in ("links", "bmountbyuu"):
-                    notes.add(line, f"unknown key {line.key}; a package has Links and bMountByUU")
-            links = [_link_line(line, units, notes) for line in section.get_all("Links")]
-            if links:
-                _check_tree(links)
-                found[name.removeprefix(PREFIX)] = tuple(links)
+                if line.key.lower() not in ("links", "bmountbyuu", "tipoffset"):
+                    notes.add(line, f"unknown key {line.key}; a package has Links, bMountByUU and TipOffset")
+            links = tuple(_link_line(line, units, notes) for line in section.get_all("Links"))
+            _check_tree(links)
+            offset = section.last("TipOffset")
+            own, before = name.removeprefix(PREFIX), found.get(name.removeprefix(PREFIX), Definition())
+            if links or offset is not None:
+                tip = before.tip if offset is None else as_vector(offset, offset.value, "TipOffset")
+                found[own] = Definition(links or before.links, tip)
     return found
 
 
@@ -166,13 +178,14 @@ def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
 
 def redefine(package: MissionPackage, definitions: Definitions) -> MissionPackage:
     """Return a package with the links of an ini file; fields without a value stay."""
-    lines = definitions.get(package.name.lower(), ())
-    if not lines:
-        return package
+    found = definitions.get(package.name.lower(), Definition())
+    tip = package.tip if found.tip is None else found.tip
+    if not found.links:
+        return replace(package, tip=tip)
     base = base_of(package)
     before = {link.number: link for link in package.links}
-    links = tuple(_link(line, before.get(line.number), base) for line in lines)
-    return MissionPackage(name=package.name, links=links)
+    links = tuple(_link(line, before.get(line.number), base) for line in found.links)
+    return replace(package, links=links, tip=tip)
 
 
 def base_of(package: MissionPackage) -> Vec3:
@@ -196,7 +209,7 @@ def templates(packages: Iterable[MissionPackage], definitions: Definitions) -> d
 
 def known_packages(robots: Registry[RobotSpec], definitions: Definitions) -> dict[str, MissionPackage]:
     """Return all packages: the robots', those of `PACKAGES`, and new ones of the ini files."""
-    new = [MissionPackage(name=name, links=()) for name in definitions]
+    new = [MissionPackage(name=name, links=()) for name, found in definitions.items() if found.links]
     others = [package for _, robot in robots for package in robot.packages]
     return templates([*new, *others, *(package for _, package in PACKAGES)], definitions)
 

@@ -79,7 +79,7 @@ def mount_package(package: MissionPackage, location: Vec3, name: str = "") -> Mi
         else link
         for link in package.links
     )
-    return MissionPackage(name=name or package.name, links=links)
+    return replace(package, name=name or package.name, links=links)
 
 
 PACKAGES: Registry[MissionPackage] = Registry("mission package")

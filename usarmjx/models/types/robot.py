@@ -154,10 +154,17 @@ class Link:
 
 @dataclass(frozen=True, kw_only=True)
 class MissionPackage:
-    """Parts and joints that work together for a purpose other than driving (manual 7)."""
+    """Parts and joints that work together for a purpose other than driving (manual 7).
+
+    Attributes:
+        name: Its name.
+        links: Its links; a parent is before its children.
+        tip: Point of the last link that its user aims, in that link's frame [m]; later versions report it.
+    """
 
     name: str
     links: tuple[Link, ...]
+    tip: Vec3 = ZERO
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -378,7 +378,9 @@ def geometry(
             (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links])
             for p in packages
         ]
-        answers.append(geo_mispkg(links, _package_type(kind)))
+        type_name = _package_type(kind)
+        tips = {one.name: one.tip for one in packages if type_name == ACTUATOR_TYPE}
+        answers.append(geo_mispkg(links, type_name, tips))
     return answers or [geo_nothing(kind, name)]
 
 

@@ -4,7 +4,7 @@ Inputs are plain numbers already in the wire's axes and units. As in `reports`, 
 from UT2004 servers win over the manual where they differ: `Mount HARD`, 2 decimals for links.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -202,8 +202,21 @@ class LinkGeometry:
     orientation: Vector
 
 
-def geo_mispkg(packages: Iterable[tuple[str, Sequence[LinkGeometry]]], type_name: str = "MisPkg") -> Message:
-    """Return the geometry of mission packages, (name, links) of each, all in one line of that type."""
+NO_TIPS: Mapping[str, Vector] = {}
+
+
+def geo_mispkg(
+    packages: Iterable[tuple[str, Sequence[LinkGeometry]]],
+    type_name: str = "MisPkg",
+    tips: Mapping[str, Vector] = NO_TIPS,
+) -> Message:
+    """Return the geometry of mission packages, (name, links) of each, all in one line of that type.
+
+    Args:
+        packages: The packages.
+        type_name: The type.
+        tips: Tips of packages by name [m]; the manual's line has none.
+    """
     segments: list[Segment] = [("Type", type_name)]
     for name, links in packages:
         segments.append(("Name", name))
@@ -214,6 +227,8 @@ def geo_mispkg(packages: Iterable[tuple[str, Sequence[LinkGeometry]]], type_name
                 ("Location", four_decimals_list(link.location)),
                 ("Orientation", four_decimals_list(link.orientation)),
             ]
+        if name in tips:
+            segments.append(("Tip", four_decimals_list(tips[name])))
     return Message("GEO", tuple(segments))
 
 

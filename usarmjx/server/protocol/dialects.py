@@ -159,7 +159,8 @@ def _one_by_one(message: Message) -> Iterator[Message]:
 def _actuator(message: Message, chassis: str) -> Iterator[Segment]:
     """Return UDK's form of packages: the pose and the tip of each, and its links from the base, link 0."""
     has_pose = message.kind == "GEO" and bool(message.all("Link"))
-    tip = [("Tip", _ORIGIN)] if has_pose else []
+    has_tips = bool(message.all("Tip"))
+    tip = [("Tip", _ORIGIN)] if has_pose and not has_tips else []
     names = 0
     for key, value in message.segments:
         if key == "Name":
