@@ -180,7 +180,7 @@ SECTIONS = {
     **dict.fromkeys(
         (
             *("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass"),
-            *("LineLaser", "Kinect", "ObjectSensor"),
+            *("LineLaser", "Kinect", "ObjectSensor", "PCL"),
         ),
         "later versions",
     ),
@@ -216,6 +216,7 @@ SAMPLES = {
     "LineLaser": [[4.5, -1.9, 0.3], [0.0, 0.0, -1.57], [5.5, -2.9, 0.3], [4.5, -2.9, 0.3]],
     "Kinect": [12.0, 1.234, 3.0],
     "ObjectSensor": [3.2, 4.0],
+    "PCL": [[3.2, 1.1, -0.9], [4.0, -1.4, -1.1]],
 }
 """Values in our axes, of one mount."""
 SHORT_OPTIONS = {

@@ -33,6 +33,7 @@ from usarmjx.sensors import (
     line_laser,
     motion,
     object_sensor,
+    point_cloud,
     power,
     ranging,
     rfid,
@@ -50,7 +51,7 @@ __all__ = ["SENSORS", "SENSOR_MODULES"]
 
 SENSOR_MODULES = (
     *(attitude, co2, gps, human_motion, inertial, kinect, later, line_laser, motion, power, ranging, rfid),
-    *(object_sensor, sound, touch, victim),
+    *(object_sensor, point_cloud, sound, touch, victim),
 )
 """Modules whose import registers sensor types; a new module belongs here."""
 

@@ -43,7 +43,7 @@ SENSOR_TYPES = (
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
     *("IMU", "Magnetometer", "Battery", "Lidar"),
     *("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass", "LineLaser", "Kinect"),
-    "ObjectSensor",
+    *("ObjectSensor", "PCL"),
 )
 """Types of sensors; some of them report only on events."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")

@@ -27,11 +27,12 @@ LATER_ITEMS = {
     "battery": "Battery",
     "magneticcompass": "MagneticCompass",
     "kinectdepth": "Kinect",
+    "rotatingpointcloudscanner": "PCL",
 }
 """Classes of items of the later versions with another name."""
 OWN_KINDS = (
     *("AHRS", "Battery", "MagneticCompass", "Tachometer", "AltitudeSensor", "MissionTime"),
-    *("LineLaser", "Kinect", "ObjectSensor"),
+    *("LineLaser", "Kinect", "ObjectSensor", "PCL"),
 )
 """Types that the manual has no class of."""
 
@@ -52,6 +53,7 @@ LATER_IGNORED = {
     "maxenergy": "STA counts seconds: BatteryLife of the robot's section",
     "currentenergy": "STA counts seconds: BatteryLife of the robot's section",
     "batterylife": "it is a key of the robot's section",
+    "scanrate": "a point cloud scanner measures a row for each message: ScanInterval",
     "drifting": "INS drifts as Sigma and Mean say",
     "squaresize": "pictures show a laser's points as balls",
     "linespace": "pictures show a laser's points as balls",

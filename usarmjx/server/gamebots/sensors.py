@@ -204,6 +204,11 @@ def _kinect(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_kinect(time, sensor.mounts[0].name, int(frame), depths)
 
 
+def _point_cloud(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    points = [flip_wire_vector(point) for point in np.asarray(value, float).tolist()]
+    return reports.sen_point_cloud(time, sensor.mounts[0].name, points)
+
+
 def _no_objects(sensor: Sensor, value: np.ndarray, time: float | None) -> None:
     """Return no message: only the world knows what the beams meet; see `reporter.objects_report`."""
     del sensor, value, time
@@ -237,6 +242,7 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]]
     "LineLaser": _line_laser,
     "Kinect": _kinect,
     "ObjectSensor": _no_objects,
+    "PCL": _point_cloud,
     "Touch": _touch,
     "GPS": _gps,
     **victims.REPORTS,

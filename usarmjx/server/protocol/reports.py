@@ -315,6 +315,15 @@ def sen_kinect(time: float | None, name: str, frame: int, depths: Iterable[float
     return _sen(_precise(time), "Kinect", ("Name", name), ("Frame", str(frame)), ("Range", texts))
 
 
+def sen_point_cloud(time: float | None, name: str, points: Iterable[Vector]) -> Message:
+    """Return points that a scanner meets, in its own axes [m].
+
+    RotatingPointCloudScanner.uc has them in braces without a key; here it is Points, as every value has one.
+    """
+    texts = ";".join(two_decimals_list(point) for point in points)
+    return _sen(_precise(time), "PCL", ("Name", name), ("Points", texts))
+
+
 def sen_objects(time: float | None, name: str, objects: Iterable[tuple[str, Vector, Vector]]) -> Message:
     """Return the objects that a scanner's beams meet.
 
