@@ -59,7 +59,7 @@ class LinkLine:
 
 @dataclass(frozen=True)
 class Definition:
-    """What a file says of a package class: its links, none if it does not change them, and its tip [m]."""
+    """Definition of a package class by a file: links, none if it leaves them, and its tip [m]."""
 
     links: tuple[LinkLine, ...] = ()
     tip: Vec3 | None = None
