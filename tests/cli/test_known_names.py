@@ -42,6 +42,7 @@ WRONG = {
     ("bench memory", "roster"): ("bench memory --roster {}:2", ROBOT),
     ("bench peers", "arena"): ("bench peers --arena {}", ARENA),
     ("bench peers", "engines"): ("bench peers --engine c --engine {}", ENGINE),
+    ("bench physics", "engine"): ("bench physics --engine {}", ENGINE),
     ("bench physics", "robot"): ("bench physics --robot {}", ROBOT),
     ("bench radio", "roster"): ("bench radio --roster {}:2", ROBOT),
     ("bench rays", "roster"): ("bench rays --roster {}:2", ROBOT),

@@ -50,7 +50,7 @@ RANGE = 1e-4
 SHARE, NEAR = 1e-5, 2e-5
 """Other readings: as NumPy's differ from XLA's, which fuses products and sums (tests/sensors/
 test_numpy_backend.py): a share of what is measured, and of positions 10 m from the origin."""
-RANGING = ("Sonar", "RangeScanner", "IRSensor", "IRScanner", "RangeScanner3D", "Lidar", "LineLaser")
+RANGING = ("Sonar", "RangeScanner", "IRSensor", "IRScanner", "RangeScanner3D", "Lidar", "LineLaser", "PCL")
 POWER = 1e-4
 """Single precision of 100 dB is 8e-6; logarithms and normal numbers differ in their last places too [dB]."""
 GROUND = 1e-5
