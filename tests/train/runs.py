@@ -39,7 +39,7 @@ def run(folder, config=CONFIG, resume=False, watch=None, stop=None):
     from usarmjx.train.learning.trainer import train
 
     def make(worlds, first):
-        return DriveToy(worlds, first, rotten=True)
+        return DriveToy(worlds, first, rotten=True, shared=True)
 
     return train(make, config, folder, resume, progress=False, watch=watch, stop=stop)
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from tests.train.shared_programs import SharedPrograms
 from usarmjx.base import random
 from usarmjx.train.envs.state import AgentGroup, EnvState
 from usarmjx.train.learning.config import Config
@@ -117,15 +118,18 @@ class DriveToy(Toy):
     """Point robots, two of class A and one of class B, are to be at their own goals all at once.
 
     An action is a step of at most 0.2; goals are within +-1; near is 0.25. Score: 1 when all are near. With
-    `rotten`, a robot A beyond 0.6 to the right makes its world bad: observations and rewards are NaN.
+    `rotten`, a robot A beyond 0.6 to the right makes its world bad: observations and rewards are NaN. With
+    `shared`, trainers take programs that others with equal settings have traced in this process.
     """
 
     name, episode_steps, privileged_size = "drive-toy", 25, 6
     groups = (group("A", 2, 2, 2), group("B", 1, 2, 2))
 
-    def __init__(self, *args, rotten=False, **more):
+    def __init__(self, *args, rotten=False, shared=False, **more):
         self.rotten = rotten
         super().__init__(*args, **more)
+        if shared:
+            self.program_cache = SharedPrograms(self.worlds, self.first, self.traceable, rotten)
 
     def start(self, key):
         draw = jax.random.uniform(key, (2, 3, 2), minval=-1.0, maxval=1.0)

@@ -36,7 +36,7 @@ EXACT = ("iteration", "agent_steps", "episodes", "score", "length", "timeouts", 
 
 
 def rotten(worlds, first):
-    return DriveToy(worlds, first, rotten=True)
+    return DriveToy(worlds, first, rotten=True, shared=True)
 
 
 def run(folder, seeds, config=CONFIG, env=rotten, **more):
