@@ -264,6 +264,20 @@ def test_jax_counts_a_full_contact_buffer():
         batch.check_overflow(state)
 
 
+def test_on_jax_a_wall_that_reaches_below_the_floor_takes_no_contacts_from_it():
+    """MJX alone pairs the floor with the arena, a mocap body; those 2 m deep would fill the buffer."""
+    wall = Shape(kind="box", size=(0.1, 5.0, 2.0), at=(1.5, 0.0, 0.0))
+    scene = build_scene(replace(FLAT, shapes=(wall,)), ["ComStation"])
+    batch = Batch(scene, 1, engine="jax")
+    state = batch.reset()
+    height = [float(batch.physics(state).qpos[0, scene.groups[0].root_qposadr[0, 2]])]
+    for _ in range(25):
+        state = batch.step(state)
+    height.append(float(batch.physics(state).qpos[0, scene.groups[0].root_qposadr[0, 2]]))
+    batch.check_overflow(state)
+    assert height[1] == pytest.approx(height[0], abs=1e-3), "it stands"
+
+
 @pytest.mark.parametrize(
     ("xml", "engine", "named"),
     [

@@ -15,7 +15,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
 from usarmjx.engines.mjx_import import collision_driver, mjx
-from usarmjx.models.compile.compose import split_long_boxes
+from usarmjx.models.compile.compose import ARENA, WORLD, split_long_boxes
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
@@ -249,7 +249,14 @@ class JaxEngine(MjxEngine):
         ]
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """Compile the model with long walls in pieces, which bounding spheres can separate."""
+        """Compile the model with long walls in pieces, which bounding spheres can separate.
+
+        Floor and arena are excluded from each other: unlike C MuJoCo, MJX makes contacts of a mocap body with
+        the world, and the deep ones of walls that reach below the floor would fill the buffer.
+        """
+        spec = spec.copy()
+        if spec.body(ARENA) is not None:
+            spec.add_exclude(bodyname1=WORLD, bodyname2=ARENA)
         if self.moved_geoms is not None and self.moved_geoms.resized:
             self._short = ShortBoxes(self.moved_geoms, MAX_BOX_LENGTH)
             self.moved_geoms = self._short.moved_geoms
