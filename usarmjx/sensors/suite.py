@@ -42,7 +42,7 @@ from usarmjx.sensors import (
     victim,
 )
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_vectorized
-from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, cast_rays
+from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, RobotsRayCaster, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import resolve_camera, resolve_settings
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
@@ -228,6 +228,12 @@ class Suite:
             if not self.ray_counts[i] or not wanted.any():
                 continue
             together = _rays_of_robots(sensor, bodies, surroundings) if slot.ndim else None
+            if together is not None and isinstance(cast, RobotsRayCaster):
+                origin, direction = (part[wanted] for part in together)
+                met = cast.of_robots(origin, direction, query_of(sensor, slot[wanted]))
+                distance[wanted, self._rays_of(i)] = met.distance
+                cosine[wanted, self._rays_of(i)] = met.cosine
+                continue
             for robot in zip(*np.nonzero(wanted), strict=True) if slot.ndim else [()]:
                 if together is not None:
                     origin, direction = (part[robot] for part in together)

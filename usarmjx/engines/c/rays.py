@@ -5,9 +5,11 @@ incidence). Grid fenders, which C MuJoCo does not have, are cast by their kernel
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import jax
 import mujoco
@@ -15,6 +17,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
+from usarmjx.engines.c.ray_pairs import RayPairs
 from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.ray_geoms import FENDER_KIND
 from usarmjx.models.types.shapes import FENDER, MATERIALS
@@ -26,12 +29,20 @@ from usarmjx.sensors.rays.targets import GeomBlock
 HIDDEN_GROUP = len(MATERIALS)
 """Geom group that rays pass, for instance of the robot that casts them; lower groups are the materials."""
 
+FEW_ROBOTS = 2
+"""Number of robots up to which their rays are cast robot by robot."""
 FEW_RAYS = 12
 """Ray count per origin below which rays are cast one by one: `mj_multiRay` first tests all bounding boxes."""
+TOO_FEW_RAYS = 4
+"""Ray count up to which culling by range does not pay either."""
 MANY_RAYS = 32
 """Ray count per origin above which culling by range does not pay."""
 SPHERE_MARGIN = 1e-4
 """Enlargement of bounding spheres against rounding [m]."""
+MIN_NORMAL = 1e-9
+"""Shortest product of two rays that counts as a normal of their plane."""
+NO_GEOMS = np.zeros(0, bool)
+"""No mask of geoms."""
 MIN_COSINE = 0.1
 """Lowest cosine to the first ray for which a cone test is valid."""
 
@@ -65,6 +76,7 @@ class CRayCaster:
         }
         is_fender = model.geom_group == MATERIALS.index(FENDER)
         self._fenders, self._is_fender = np.flatnonzero(is_fender), np.append(is_fender, False)
+        self._pairs = RayPairs(model, data, self._robot_state)
 
     def __call__(
         self, origin: Array, direction: Array, query: RayQuery = DEFAULT_QUERY, fans: Fans | None = None
@@ -85,6 +97,31 @@ class CRayCaster:
             distance=np.where(met, distance, np.inf).astype(np.float32),
             cosine=np.where(met, cosine, 0.0).astype(np.float32),
         )
+
+    def of_robots(self, origin: Array, direction: Array, query: RayQuery) -> Hits:
+        """Return the first hits of rays of several robots (robots, rays); a zero direction hits nothing.
+
+        Args:
+            origin: Ray origins [m] (robots, rays, 3).
+            direction: Unit vectors, or zeros (robots, rays, 3).
+            query: Options; its `exclude_owner` are the robots' slots (robots,).
+        """
+        slots, aimed = np.asarray(query.exclude_owner), (np.asarray(direction) != 0.0).any(-1)
+        distance, cosine = np.full(aimed.shape, np.inf, np.float32), np.zeros(aimed.shape, np.float32)
+        left = np.ones(len(slots), bool)
+        if len(slots) > FEW_ROBOTS and aimed.all():
+            rays = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+            solid = _solid_groups(query.transparent)
+            far, facing, is_right = self._pairs.nearest(*rays, slots, solid, query.max_distance)
+            met = (far <= query.max_distance) & is_right[:, None]
+            distance[met], left = far[met], ~is_right
+            if query.incidence:
+                cosine[met] = facing[met]
+        for robot in np.flatnonzero(left & aimed.any(-1)).tolist():
+            rays = origin[robot, aimed[robot]], direction[robot, aimed[robot]]
+            hits = self(*rays, query.replace(exclude_owner=slots[robot]))
+            distance[robot, aimed[robot]], cosine[robot, aimed[robot]] = hits.distance, hits.cosine
+        return Hits(distance=distance, cosine=cosine)
 
     def geoms_of(self, slot: int) -> np.ndarray:
         """Return a robot's geoms (n,); empty for any other slot."""
@@ -129,7 +166,7 @@ class CRayCaster:
         lines, normals = along.reshape(-1), normal.reshape(-1)
         groups, shown, few = model.geom_group, None, FEW_RAYS
         before = groups.copy()
-        if 0 < count <= MANY_RAYS * (len(bounds) - 1) and math.isfinite(query.max_distance):
+        if TOO_FEW_RAYS < count <= MANY_RAYS * (len(bounds) - 1) and math.isfinite(query.max_distance):
             geoms, near = self._near(start, along, np.array(bounds), query.max_distance)
             shown, few = np.full((len(near), len(before)), HIDDEN_GROUP, before.dtype), 1
             shown[:, geoms] = np.where(near, before[geoms], HIDDEN_GROUP)
@@ -141,20 +178,23 @@ class CRayCaster:
                     out = geom[ray : ray + 1], normal[ray]
                     distance[ray] = mujoco.mj_ray(model, data, start[ray], along[ray], solid, 1, -1, *out)
                 continue
-            mujoco.mj_multiRay(
-                model,
-                data,
-                start[first],
-                lines[3 * first : 3 * end],
-                solid,
-                1,
-                -1,
-                geom[first:end],
-                distance[first:end],
-                normals[3 * first : 3 * end] if query.incidence else None,
-                end - first,
-                mujoco.mjMAXVAL,  # with a shorter cutoff MuJoCo omits floors within it
-            )
+            here = slice(first, end)
+            unmet = self._beside(start[first], along[here]) if end - first >= MANY_RAYS else NO_GEOMS
+            with _emptied(model, unmet):
+                mujoco.mj_multiRay(
+                    model,
+                    data,
+                    start[first],
+                    lines[3 * first : 3 * end],
+                    solid,
+                    1,
+                    -1,
+                    geom[here],
+                    distance[here],
+                    normals[3 * first : 3 * end] if query.incidence else None,
+                    end - first,
+                    mujoco.mjMAXVAL,  # with a shorter cutoff MuJoCo omits floors within it
+                )
         groups[:] = before
         return np.where(geom >= 0, distance, np.inf), normal, geom
 
@@ -189,6 +229,20 @@ class CRayCaster:
         missed = (far > (reach + radius) ** 2) | (outside & (cosine > MIN_COSINE))
         return geoms, ~missed | (bound == 0)
 
+    def _beside(self, point: np.ndarray, along: np.ndarray) -> np.ndarray:
+        """Return the geoms that no ray of a fan meets, by bounding spheres: (ngeom,) bool.
+
+        A fan of rays (rays, 3) from a point [m] is nearly in a plane, and mostly on one side of another.
+        """
+        offset, bound = self._data.geom_xpos - point, self._model.geom_rbound
+        radius, middle = bound + SPHERE_MARGIN, along[len(along) // 2]
+        normal = along[0, [1, 2, 0]] * middle[[2, 0, 1]] - along[0, [2, 0, 1]] * middle[[1, 2, 0]]
+        normal /= max(math.sqrt(normal @ normal), MIN_NORMAL)
+        farthest = np.sqrt(_dot(offset, offset)) + radius
+        missed = np.abs(offset @ normal) > radius + farthest * np.abs(along @ normal).max()
+        missed |= offset @ middle < farthest * min((along @ middle).min(), 0.0) - radius
+        return missed & (bound > 0.0)  # planes have no bound
+
     def _with_fenders(
         self,
         start: np.ndarray,
@@ -214,6 +268,29 @@ class CRayCaster:
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the scalar products of vectors (n, 3) (n,)."""
     return np.einsum("ij,ij->i", a, b)
+
+
+@contextmanager
+def _emptied(model: mujoco.MjModel, unmet: np.ndarray) -> Generator[None]:
+    """Hide geoms (ngeom,) bool within the context, and let rays skip the bodies that are left with none."""
+    if not len(unmet):
+        yield
+        return
+    groups, counts, trees = model.geom_group, model.body_geomnum, tree_addresses(model)
+    before = groups.copy(), counts.copy(), trees.copy()
+    groups[unmet] = HIDDEN_GROUP
+    empty = np.ones(len(counts), bool)
+    empty[model.geom_bodyid[groups != HIDDEN_GROUP]] = False
+    counts[empty], trees[empty] = 0, -1
+    try:
+        yield
+    finally:
+        groups[:], counts[:], trees[:] = before
+
+
+def tree_addresses(model: Any) -> np.ndarray:  # noqa: ANN401 - MuJoCo's types leave it out
+    """Return the first node of each body's bounding volumes, -1 without (bodies,)."""
+    return model.body_bvhadr
 
 
 @cache

@@ -9,7 +9,7 @@ consist of triangles, see `models.compile.ray_geoms`.
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -133,6 +133,22 @@ class RayQuery(struct.PyTreeNode, kw_only=True):
 DEFAULT_QUERY = RayQuery()
 RayCaster = Callable[[Array, Array, RayQuery, Fans | None], Hits]
 """Caster for everything in a world: `cast_rays` with its geoms bound."""
+
+
+@runtime_checkable
+class RobotsRayCaster(Protocol):
+    """A `RayCaster` that casts the rays of several robots at once, on NumPy."""
+
+    def __call__(self, origin: Array, direction: Array, query: RayQuery, fans: Fans | None, /) -> Hits:
+        """Return the first hit of each ray."""
+        ...
+
+    def of_robots(self, origin: Array, direction: Array, query: RayQuery) -> Hits:
+        """Return the first hits of rays (robots, rays, 3); a zero direction hits nothing.
+
+        `query.exclude_owner` are the robots' slots (robots,).
+        """
+        ...
 
 
 class IndexedBlock(NamedTuple):
