@@ -22,12 +22,14 @@ class BoundingTree(NamedTuple):
     """Bounding volume hierarchy of one world.
 
     Attributes:
-        places: Position, orientation and half sizes of the bounding box of each geom (geoms, 10).
+        places: Position, orientation and half sizes of the bounding box of each movable geom (movable, 10).
+        leaves: Centre and half size of each geom's box (geoms, 6).
         order: Geoms by leaf, from left to right (geoms,).
         boxes: Centre and half size of each node's box (nodes, 6).
     """
 
     places: np.ndarray
+    leaves: np.ndarray
     order: np.ndarray
     boxes: np.ndarray
 
@@ -44,16 +46,18 @@ class MovedBody:
     """
 
     def __init__(self, model: mujoco.MjModel, ids: list[int]) -> None:
-        self.ids = ids
+        self.ids = np.array(ids)
         body, tree = int(model.geom_bodyid[ids[0]]), _bvh_fields(model)
         begin, count = int(tree.body_bvhadr[body]), int(tree.body_bvhnum[body])
         self._nodes = slice(begin, begin + count)
         leaves: np.ndarray = tree.bvh_nodeid[self._nodes]
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
+        self._movable = np.flatnonzero(np.isin(self._geoms, self.ids))
         self._children, self._levels, self._leaf = _tree_topology(len(self._geoms))
         inner = [nodes[self._children[nodes, 0] >= 0] for nodes, _ in reversed(self._levels)]
         self._merges = [(nodes, *self._children[nodes].T) for nodes in inner if len(nodes)]
         self._worlds: dict[int, BoundingTree] = {}
+        self._written: dict[int, BoundingTree] = {}
         if len(self._geoms):
             tree.bvh_child[self._nodes] = self._children
             for depth, (nodes, _) in enumerate(self._levels):
@@ -80,29 +84,34 @@ class MovedBody:
             self._write_tree(model, self._bounding_tree(model, world))
 
     def _bounding_tree(self, model: mujoco.MjModel, world: int) -> BoundingTree:
-        geoms, known = self._geoms, self._worlds.get(world)
-        places = np.hstack([model.geom_pos[geoms], model.geom_quat[geoms], model.geom_aabb[geoms, 3:]])
-        changed = np.ones(1, bool) if known is None else (known.places != places).any(axis=1)
-        if known is None or changed.any():
-            mid, half = _bounding_boxes(model, geoms)
-            if known is None or changed.mean() > REBUILD_FRACTION:
-                order = self._leaf_order(mid)
-            else:
-                order = known.order
-            known = self._worlds[world] = BoundingTree(
-                places, order, self._node_boxes(mid[order], half[order])
-            )
-        return known
+        known, movable = self._worlds.get(world), self._geoms[self._movable]
+        places = np.hstack([model.geom_pos[movable], model.geom_quat[movable], model.geom_aabb[movable, 3:]])
+        if known is None:
+            leaves = _bounding_boxes(model, self._geoms)
+            order = self._leaf_order(leaves)
+        else:
+            changed = self._movable[(known.places != places).any(axis=1)]
+            if not len(changed):
+                return known
+            leaves, order = known.leaves.copy(), known.order
+            leaves[changed] = _bounding_boxes(model, self._geoms[changed])
+            if len(changed) > REBUILD_FRACTION * len(leaves):
+                order = self._leaf_order(leaves)
+        self._worlds[world] = BoundingTree(places, leaves, order, self._node_boxes(leaves[order]))
+        return self._worlds[world]
 
     def _write_tree(self, model: mujoco.MjModel, known: BoundingTree) -> None:
+        if self._written.get(id(model)) is known:
+            return
         node_ids = np.full(len(self._children), -1, np.int32)
         node_ids[self._leaf] = self._geoms[known.order]
         tree = _bvh_fields(model)
         tree.bvh_nodeid[self._nodes], tree.bvh_aabb[self._nodes] = node_ids, known.boxes
+        self._written[id(model)] = known
 
-    def _leaf_order(self, mid: np.ndarray) -> np.ndarray:
-        """Return the geoms by leaf: those of each node are sorted along its longest axis (geoms,)."""
-        order = np.arange(len(mid))
+    def _leaf_order(self, boxes: np.ndarray) -> np.ndarray:
+        """Return geoms by leaf, from their boxes: a node sorts its own along its longest axis (geoms,)."""
+        mid, order = boxes[:, :3], np.arange(len(boxes))
         for _, starts in self._levels:
             here = mid[order]
             spread = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
@@ -111,9 +120,10 @@ class MovedBody:
             order = order[np.lexsort((along, node))]
         return order
 
-    def _node_boxes(self, mid: np.ndarray, half: np.ndarray) -> np.ndarray:
+    def _node_boxes(self, leaves: np.ndarray) -> np.ndarray:
         """Return the boxes of all nodes around those of the leaves, from left to right (nodes, 6)."""
         bounds = np.empty((len(self._children), 6))  # low corner, and high corner times -1
+        mid, half = leaves[:, :3], leaves[:, 3:]
         bounds[self._leaf, :3], bounds[self._leaf, 3:] = mid - half, -(mid + half)
         for nodes, one, other in self._merges:
             bounds[nodes] = np.minimum(bounds[one], bounds[other])
@@ -152,11 +162,11 @@ def _tree_topology(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.nd
     return children, levels, leaf
 
 
-def _bounding_boxes(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres and half sizes of bounding boxes of geoms, in their body's inertial frame (geoms, 3)."""
+def _bounding_boxes(model: mujoco.MjModel, geoms: np.ndarray) -> np.ndarray:
+    """Return centres and half sizes of bounding boxes of geoms, in their body's inertial frame (geoms, 6)."""
     body, own = model.geom_bodyid[geoms[0]], model.geom_aabb[geoms]
     with numpy_backend():
         frame, mat = mat_from_quat(model.body_iquat[body]), mat_from_quat(model.geom_quat[geoms])
     mat = frame.T @ mat
     mid = (model.geom_pos[geoms] - model.body_ipos[body]) @ frame + np.einsum("nij,nj->ni", mat, own[:, :3])
-    return mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])
+    return np.hstack([mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])])

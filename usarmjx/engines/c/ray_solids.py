@@ -72,11 +72,10 @@ def _box(rays: LocalRays) -> np.ndarray:
     if flat.any():
         away: np.ndarray = np.where(np.abs(point) <= size, -np.inf, np.inf)
         first, last = np.where(flat, away, first), np.where(flat, -away, last)
-    enters = np.maximum(np.maximum(first[0], first[1]), first[2])
-    leaves = np.minimum(np.minimum(last[0], last[1]), last[2])
+    enters: np.ndarray = np.maximum(np.maximum(first[0], first[1]), first[2])
+    leaves: np.ndarray = np.minimum(np.minimum(last[0], last[1]), last[2])
     is_met = (enters <= leaves) & (leaves >= 0.0)
-    met: np.ndarray = np.where(enters >= 0.0, enters, leaves)
-    return np.where(is_met, met, np.inf)
+    return np.where(is_met, np.where(enters >= 0.0, enters, leaves), np.inf)
 
 
 def _roots(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
