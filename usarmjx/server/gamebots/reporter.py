@@ -5,11 +5,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
 from usarmjx.base.transforms import angles_from_mat
-from usarmjx.models.drives.base import RobotState
 from usarmjx.sensors.object_sensor import ObjectSensor
 from usarmjx.server.gamebots.grippers import gripper_reports
 from usarmjx.server.gamebots.sensors import package_report, robot_report, sensor_report
@@ -78,7 +76,8 @@ class Reporter:
         """Send STA, fresh readings of sensors, MISSTA, and EFF of later versions: the original's order."""
         world, time = self._world, self._world.time
         robot.next_report += robot.spec.msg_timer
-        state, battery = world.state(robot), battery_left(world, robot)
+        now, physics = world.one_world()
+        state, battery = world.state(robot, physics), battery_left(world, robot)
         joints = state.joint_pos
         # STA comes first, and alone from a robot with an empty battery (KRobot.uc, timer).
         self._session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
@@ -89,7 +88,12 @@ class Reporter:
             if index in robot.pending:
                 self._send_reading(robot, index, robot.pending.pop(index))
         if robot.spec.packages:
-            for message in package_report(robot.plan, joints, self._efforts(robot, state), time):
+            scene = world.scene
+            group, member = scene.group_of(robot.slot)
+            act, hold = physics.act[scene.groups[group].actadr[member]], now.groups[group].hold[member]
+            with numpy_backend():
+                efforts = joint_efforts(robot.plan, state, act, hold)
+            for message in package_report(robot.plan, joints, efforts, time):
                 self._session.send(message)
         if self._session.dialect.has_binary_grippers:
             for message in gripper_reports(robot):
@@ -117,11 +121,3 @@ class Reporter:
                 self._failed_sensors.add(index)
                 name = sensor.mounts[0].name
                 self._session.add_fault(f"{robot.spec.name}'s {sensor.kind} {name} is not reported: {error}")
-
-    def _efforts(self, robot: Robot, state: RobotState) -> Array:
-        """Return the torque or force on each of the robot's joints [N m or N] (joints,)."""
-        scene, (world, physics) = self._world.scene, self._world.one_world()
-        group, member = scene.group_of(robot.slot)
-        act, hold = physics.act[scene.groups[group].actadr[member]], world.groups[group].hold[member]
-        with numpy_backend():
-            return joint_efforts(robot.plan, state, act, hold)

@@ -234,6 +234,6 @@ class RobotSession:
 
 def _in_pairs(message: Message) -> Message:
     """Return a message without the segments that have no value."""
-    if all(value for _, value in message.segments):
+    if "" not in [value for _, value in message.segments]:
         return message
     return Message(message.kind, tuple(segment for segment in message.segments if segment[1]))

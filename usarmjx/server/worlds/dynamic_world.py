@@ -84,6 +84,10 @@ class DynamicWorld(ServedWorld):
         """Return the world and its physics as they are now."""
         return self._single.world, self._single.physics
 
+    def beside_physics(self) -> World:
+        """Return the world as it is now, without its physics."""
+        return self._single.world
+
     def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of the robot's state."""
         self._single.edit(robot.slot, **fields)

@@ -252,7 +252,7 @@ class ServedWorld(ABC):
         if robot.drowned:
             return 0.0
         group, member = self.scene.group_of(robot.slot)
-        world, _ = self.one_world()
+        world = self.beside_physics()
         age = int(world.step) - int(world.groups[group].battery_start[member])
         return max(0.0, robot.spec.battery_life - age * self.period)
 
@@ -343,6 +343,10 @@ class ServedWorld(ABC):
     def one_world(self) -> tuple[World, PhysicsState]:
         """Return the world and its physics as they are now, without an axis over worlds; NumPy arrays."""
 
+    def beside_physics(self) -> World:
+        """Return the world as `one_world` does, without its physics, which costs more."""
+        return self.one_world()[0]
+
     @abstractmethod
     def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of the robot's part of its `GroupState`."""
@@ -356,10 +360,15 @@ class ServedWorld(ABC):
         del spec
         raise UsageError(f"{robot.name} is compiled: only in a world of engine c do descriptions change")
 
-    def state(self, robot: Robot) -> RobotState:
-        """Return pose and motion of the robot; NumPy arrays."""
+    def state(self, robot: Robot, physics: PhysicsState | None = None) -> RobotState:
+        """Return pose and motion of the robot; NumPy arrays.
+
+        Args:
+            robot: The robot.
+            physics: Present state of the physics, if it is known already.
+        """
         group, member = self.scene.group_of(robot.slot)
-        _, physics = self.one_world()
+        physics = self.one_world()[1] if physics is None else physics
         return robot_state(self.scene.groups[group].indices[member], physics.qpos, physics.qvel)
 
     def bodies(self, robot: Robot) -> BodyPoses:
