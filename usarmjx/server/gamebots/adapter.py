@@ -515,10 +515,12 @@ class Client:
 
     # Reports
 
-    def due(self) -> bool:
-        """Whether a report of the robot is due."""
+    def due(self, time: float | None = None) -> bool:
+        """Whether a report of the robot is due, at a time of the world [s]; None: now."""
+        if self.robot is None:
+            return False
         # Both times are sums of floats: without the margin a report slips to the next step now and then.
-        return self.robot is not None and self._world.time >= self.robot.next_report - 1e-6
+        return (self._world.time if time is None else time) >= self.robot.next_report - 1e-6
 
     def report(self) -> None:
         """Send the robot's reports, and log those that failed."""

@@ -89,11 +89,11 @@ class RobotConnection:
 
     def flush(self) -> None:
         """Write the bytes that wait, if the socket can take them."""
-        if not self.writer.is_closing() and self._unread < MAX_WRITE_BUFFER:
-            data = self.client.session.data_to_send()
-            if data:
-                self.writer.write(data)
-                self.client.record_lines(self.peer, data, sent=True)
+        session = self.client.session
+        if session.has_data and not self.writer.is_closing() and self._unread < MAX_WRITE_BUFFER:
+            data = session.data_to_send()
+            self.writer.write(data)
+            self.client.record_lines(self.peer, data, sent=True)
 
     def hang_up(self) -> None:
         """Close the connection; abort it if the client does not read: closing would wait for ever."""
@@ -205,7 +205,9 @@ class BotServer:
             for client in self._connections:
                 client.add_trace_point()
         # Readings are taken after the step and just before the reports: a report is never a step old.
-        due = [client for client in (*self._connections, *self.guests) if client.due() and not client.lost]
+        world_time = self.world.time
+        everybody = (*self._connections, *self.guests)
+        due = [client for client in everybody if client.due(world_time) and not client.lost]
         if due:
             self.world.observe([client.robot for client in due if client.robot is not None])
         for client in due:

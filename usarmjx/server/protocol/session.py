@@ -169,6 +169,11 @@ class RobotSession:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
         self._outgoing += line
 
+    @property
+    def has_data(self) -> bool:
+        """Whether bytes wait to be sent."""
+        return bool(self._outgoing)
+
     def data_to_send(self) -> bytes:
         """Return the bytes that wait and forget them.
 
