@@ -14,7 +14,7 @@ import pytest
 from jax._src import compilation_cache
 
 from tests.offline import cut_network
-from tests.program_cache import folder_of_programs
+from tests.program_cache import folder_of_programs, limit_kept
 from usarmjx.base.compilation import fast_compilation_flags
 
 MUCH = 2.5e9
@@ -72,6 +72,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # training's tests. The processes of a run share the folder. It starts empty, unless a variable names one.
     own = tempfile.TemporaryDirectory(prefix="usarmjx-tests-")
     config.add_cleanup(own.cleanup)
+    limit_kept(os.environ)
     folder = str(folder_of_programs(os.environ, Path(own.name)))
     write_whole_entries(folder)
     # Nothing is downloaded at run time, so no test may reach another machine.

@@ -3,8 +3,21 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from usarmjx.base.compilation import OFF_VALUES, processor, prune_cache
+
 KEPT = "USARMJX_TEST_CACHE"
-"""Environment variable: a folder that runs share, too; unset: a run begins with an empty one."""
+"""Environment variable: a folder that runs share, too; unset or one of `OFF_VALUES`: a run begins with none.
+
+`dev.py test` sets it to `build/tests` of the checkout.
+"""
+MAX_KEPT_SIZE = 1_500_000_000
+"""Size above which a run first removes the least recently used programs of a kept folder [bytes]."""
+
+
+def kept_folder(environ: Mapping[str, str]) -> Path | None:
+    """Return the folder that runs share, by an environment; None: they share none."""
+    folder = environ.get(KEPT, "").strip()
+    return None if not folder or folder.lower() in OFF_VALUES else Path(folder).expanduser().resolve()
 
 
 def folder_of_programs(environ: Mapping[str, str], own: Path) -> Path:
@@ -14,6 +27,17 @@ def folder_of_programs(environ: Mapping[str, str], own: Path) -> Path:
         environ: Its environment: a worker of xdist finds the folder of its run there.
         own: Folder of the process, which it deletes.
     """
-    is_worker = "PYTEST_XDIST_WORKER" in environ
-    folder = environ.get("JAX_COMPILATION_CACHE_DIR" if is_worker else KEPT)
-    return Path(folder).expanduser().resolve() if folder else own / "compiled"
+    if "PYTEST_XDIST_WORKER" in environ and environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return Path(environ["JAX_COMPILATION_CACHE_DIR"]).expanduser().resolve()
+    kept = kept_folder(environ)
+    if kept is None:
+        return own / "compiled"
+    # JAX's keys of programs contain neither the instruction set nor the size of the thread pool.
+    return kept / "jax" / f"{processor()}-{environ.get('NPROC', '')}"
+
+
+def limit_kept(environ: Mapping[str, str], max_bytes: int = MAX_KEPT_SIZE) -> None:
+    """Remove the least recently used programs of a kept folder; only the process that begins a run does."""
+    kept = kept_folder(environ)
+    if kept is not None and "PYTEST_XDIST_WORKER" not in environ:
+        prune_cache(kept, max_bytes)

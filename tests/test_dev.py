@@ -270,6 +270,24 @@ def test_jax_gets_a_pool_that_cannot_deadlock(
     assert checkout.log.read_text() == f"NPROC={seen} -m good\n"
 
 
+@pytest.mark.parametrize("given", [None, "off"])
+def test_test_runs_share_programs_unless_another_folder_or_none_is_asked_for(
+    checkout: FakeCheckout, monkeypatch: pytest.MonkeyPatch, given: str | None
+):
+    seen: list[str] = []
+
+    def run(command: list[str], cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+        seen.append(env["USARMJX_TEST_CACHE"])
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.delenv("USARMJX_TEST_CACHE", raising=False)
+    if given:
+        monkeypatch.setenv("USARMJX_TEST_CACHE", given)
+    monkeypatch.setattr(environment.subprocess, "run", run)
+    environment.run_steps(checkout.environment, [["-m", "good"]])
+    assert seen == [given or str(checkout.environment.root / "build" / "tests")]
+
+
 def test_missing_ensurepip_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for name in environment.PINNED_BY:
         (tmp_path / name).touch()

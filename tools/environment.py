@@ -151,7 +151,7 @@ def follow(command: Sequence[str], folder: Path) -> tuple[int, list[str]]:
 def run_steps(environment: Environment, steps: Sequence[Sequence[str]]) -> int:
     """Run every step, also after a failure, and return the first bad status, else 0."""
     # jaxlib on two cores deadlocks when two batched factorisations share its pool of two threads.
-    settings = {"NPROC": "8", **os.environ}
+    settings = {"NPROC": "8", "USARMJX_TEST_CACHE": str(environment.root / "build" / "tests"), **os.environ}
     # pyright looks for the packages of the first `python` on the path.
     settings["PATH"] = os.pathsep.join((str(environment.python.parent), os.environ.get("PATH", "")))
     failed: list[tuple[str, int]] = []
