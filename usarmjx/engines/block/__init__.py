@@ -1,0 +1,1 @@
+"""Solver `block` of engine `warp`: each island of constraint rows solved by its own lanes."""
