@@ -21,11 +21,40 @@ def exact(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def random_states(model: mujoco.MjModel, count: int, seed: int, steps: int = 20) -> list[State]:
-    """Return states under random controls, `steps` physics steps apart."""
+def scattered(model: mujoco.MjModel, places: np.ndarray, rng: np.random.Generator, gap: float = 0.02) -> np.ndarray:
+    """Return qpos with each robot over one of the places (places, 3), turned at random.
+
+    Args:
+        model: The model.
+        places: Points of the ground.
+        rng: Source of the turns.
+        gap: Largest height of a robot's lowest point above its place [m].
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+    robots = [j for j in free if model.tree_dofnum[model.dof_treeid[model.jnt_dofadr[j]]] > 6]
+    qpos = model.qpos0.copy()
+    for joint, place in zip(robots, places, strict=False):
+        root, at = model.jnt_bodyid[joint], model.jnt_qposadr[joint]
+        geoms = (model.body_rootid[model.geom_bodyid] == root) & (model.geom_contype | model.geom_conaffinity > 0)
+        turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
+        middle = data.geom_xpos[geoms] + (turn @ model.geom_aabb[geoms, :3, None])[..., 0]
+        low = (middle - (np.abs(turn) @ model.geom_aabb[geoms, 3:, None])[..., 0])[:, 2].min()
+        qpos[at : at + 3] = place + [0.0, 0.0, qpos[at + 2] - low + rng.uniform(0.0, gap)]
+        yaw = rng.uniform(-np.pi, np.pi)
+        qpos[at + 3 : at + 7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
+    return qpos
+
+
+def random_states(
+    model: mujoco.MjModel, places: np.ndarray, count: int, seed: int, steps: int = 20, force: float = 3.0
+) -> list[State]:
+    """Return states under random controls from the places on, `steps` physics steps apart."""
     rng, data, found = np.random.default_rng(seed), mujoco.MjData(model), []
+    data.qpos[:] = scattered(model, places, rng)
     for _ in range(count):
-        data.ctrl[:] = rng.uniform(-5.0, 5.0, model.nu)
+        data.ctrl[:] = rng.uniform(-force, force, model.nu)
         mujoco.mj_step(model, data, steps)
         found.append((data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.qacc_warmstart.copy()))
     return found
