@@ -2,6 +2,7 @@
 
 import atexit
 import copy
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +21,7 @@ from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
 from usarmjx.base.warp_callbacks import pause_collection_in_callbacks
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
+from usarmjx.engines.block.coverage import why_not
 from usarmjx.engines.cylinder_box import check_mjx_version
 from usarmjx.engines.mjx import MjxEngine, local_device
 from usarmjx.engines.mjx_import import mjx
@@ -28,6 +30,7 @@ from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
+LOGGER = logging.getLogger(__name__)
 NUM_KINDS = int(mujoco.mjtGeom.mjGEOM_MESH) + 1
 """Number of geom types that collide."""
 NEAR_BOX_GAP = 0.05
@@ -215,9 +218,21 @@ def _with_globals(function: Callable[..., None], **changed: object) -> Callable[
     return copied
 
 
+def _step_by_blocks() -> Callable[..., Any]:
+    """Return MuJoCo Warp's step with solver `block` in place of its own."""
+    solve = import_module("usarmjx.engines.block.solver").solve
+    forward = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward")
+    dynamics = _with_globals(forward.forward.__wrapped__, solver=SimpleNamespace(solve=solve))
+    return _with_globals(forward.step.__wrapped__, forward=dynamics)
+
+
 @cache
-def multi_step(count: int) -> Callable[[Any, Any], Any]:
+def multi_step(count: int, block: bool = False) -> Callable[[Any, Any], Any]:
     """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
+
+    Args:
+        count: Physics steps.
+        block: Whether solver `block` takes the place of MuJoCo Warp's.
 
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
@@ -225,9 +240,11 @@ def multi_step(count: int) -> Callable[[Any, Any], Any]:
     check_mjx_version()
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
 
+    one_step = _step_by_blocks() if block else forward.mjwarp.step
+
     def run_kernels(model: object, data: object) -> None:
         for _ in range(count):
-            forward.mjwarp.step(model, data)
+            one_step(model, data)
 
     shim = _with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
     call = _with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
@@ -255,6 +272,10 @@ class WarpEngine(MjxEngine):
     """MJX on MuJoCo Warp: NVIDIA GPUs, and slowly CPUs. Not bit-exact: its sums are atomic.
 
     All worlds share one contact buffer, so an overflow can drop contacts of other worlds.
+
+    Attributes:
+        solver: Name of the constraint solver; not that of the settings where `uncovered` is set.
+        uncovered: What the scene has that solver `block` does not cover, so that MuJoCo Warp's Newton solves it.
     """
 
     name = "warp"
@@ -277,6 +298,7 @@ class WarpEngine(MjxEngine):
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
         pause_collection_in_callbacks()
+        self.solver, self.uncovered = physics.solver, None
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         if jax.default_backend() == "cpu":
             atexit.register(block_until_finished)
@@ -306,6 +328,15 @@ class WarpEngine(MjxEngine):
         if self._applies_weight(model):
             model = copy.copy(model)
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        if self.solver == "block":
+            self.uncovered = why_not(model)
+            if self.uncovered is None:
+                model = copy.copy(model)
+                # For Newton's method, MuJoCo Warp also lists the rows of each constraint.
+                model.opt.solver = mujoco.mjtSolver.mjSOL_CG
+            else:
+                self.solver = "Newton"
+                LOGGER.warning("solver 'block' does not cover %s: MuJoCo Warp's Newton solves all", self.uncovered)
         # Its kernels print a line per world and step when the solver uses all its iterations, which
         # halves the speed. `overflow` reports it instead.
         return super()._put_model(model).tree_replace({"opt._impl.warn_overflow": 0})
@@ -372,9 +403,10 @@ class WarpEngine(MjxEngine):
             self.mx = self.mx.tree_replace({"opt._impl.graph_mode": mode})
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
+        block = self.solver == "block"
         if self._graphs.control_step:
-            return multi_step(self.physics.substeps), 1
-        return super()._step_and_count()
+            return multi_step(self.physics.substeps, block), 1
+        return (multi_step(1, block), self.physics.substeps) if block else super()._step_and_count()
 
     def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a step function that blocks on a CPU: `block_until_finished` misses dropped results."""

@@ -15,11 +15,8 @@ import warp as wp
 from usarmjx.engines.block import islands, newton
 from usarmjx.engines.planar.warp_solids import expand_macros
 
-BLOCK = 128
-"""Threads of a block that handles islands."""
 SCRATCH_NUMBERS = 1 << 26
 """Numbers of global memory for islands beyond shared memory, of all worlds."""
-MOST_TREES = 4095
 WARP_TYPES = "mujoco.mjx.third_party.mujoco_warp._src.types"
 SIZES = (
     "worlds", "trees", "dofs", "most_rows", "most_values", "most_addresses", "padded_rows", "padded_dofs", "sparse",
@@ -36,20 +33,23 @@ class SizeClass:
         lanes: Threads of an island: a power of two.
         slot: Numbers of shared memory of an island; 0: its memory is global.
         most: Most islands at a time; the rest wait.
+        block: Threads of a block, which handles one or more islands.
     """
 
     lanes: int
     slot: int
     most: int
+    block: int = 128
 
 
 CLASSES = (
     SizeClass(lanes=16, slot=744, most=1 << 22),
-    SizeClass(lanes=32, slot=2952, most=1 << 14),
-    SizeClass(lanes=128, slot=11904, most=1 << 12),
+    SizeClass(lanes=32, slot=2944, most=1 << 14),
+    SizeClass(lanes=128, slot=11760, most=1 << 12),
     SizeClass(lanes=128, slot=0, most=264),
 )
-"""Size classes of islands. Shared memory of a block is 48 kB at most. Most robots on flat ground are of the first:
+"""Size classes of islands. Shared memory of a block is 48 kB at most, of
+which Warp has 2 kB itself. Most robots on flat ground are of the first:
 12 degrees of freedom and eight contacts."""
 
 MACROS: dict[str, object] = {
@@ -68,21 +68,6 @@ MACROS: dict[str, object] = {
     "CONE": f"{int(mujoco.mjtConstraintState.mjCNSTRSTATE_CONE)}",
 }
 """Macros of the native code."""
-
-
-def why_not(model: mujoco.MjModel) -> str | None:
-    """Return what a model has that the solver does not cover, or None."""
-    option = model.opt
-    uncovered = {
-        "tendons": model.ntendon,
-        "flexes": model.nflex,
-        "noslip iterations": option.noslip_iterations,
-        "sleeping trees": option.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP,
-        f"more than {MOST_TREES} kinematic trees": model.ntree > MOST_TREES,
-        "integrator RK4": option.integrator == mujoco.mjtIntegrator.mjINT_RK4,
-        "the discrete integrator": int(option.integrator) > int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
-    }
-    return next((name for name, present in uncovered.items() if present), None)
 
 
 def coefficients_type() -> Any:  # noqa: ANN401 - as below
@@ -143,7 +128,7 @@ def newton_kernel(which: int) -> Any:  # noqa: ANN401 - as above
     """Return the kernel that solves islands of a size class."""
     problem = problem_type()
     size_class = CLASSES[which]
-    words = {"LANES": size_class.lanes, "SLOT": size_class.slot, "BLOCK": BLOCK, "SIZE_CLASS": which}
+    words = {"LANES": size_class.lanes, "SLOT": size_class.slot, "BLOCK": size_class.block, "SIZE_CLASS": which}
 
     @wp.func_native(expand_macros(newton.CODE, {**MACROS, **words}))
     def solve_group(p: problem, groups: int, index: int) -> None: ...
@@ -201,4 +186,4 @@ def solve(m: Any, d: Any) -> None:  # noqa: ANN401 - as above
             groups = max(1, min(groups, SCRATCH_NUMBERS // p.scratch_size))
             p.scratch = wp.empty(groups * p.scratch_size, dtype=float)
         dim = groups * size_class.lanes
-        wp.launch(newton_kernel(which), dim=dim, inputs=[p, groups], block_dim=BLOCK, device=device)
+        wp.launch(newton_kernel(which), dim=dim, inputs=[p, groups], block_dim=size_class.block, device=device)

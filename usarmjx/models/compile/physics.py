@@ -12,8 +12,12 @@ CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone
 """MuJoCo's friction cones by name."""
 
 
-SOLVERS = {"CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
-"""MuJoCo's constraint solvers by name."""
+SOLVERS = {
+    "CG": mujoco.mjtSolver.mjSOL_CG,
+    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
+    "block": mujoco.mjtSolver.mjSOL_NEWTON,
+}
+"""MuJoCo's constraint solvers by name; `block` is our own of engine `warp`, and Newton elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,8 @@ class Physics:
         iterations: Most iterations of the solver.
         ls_iterations: Most iterations of the line search.
         cone: Friction cone of the contacts.
-        solver: MuJoCo's constraint solver.
+        solver: MuJoCo's constraint solver. `block`, on engine `warp`: Newton's method for each group of robots
+            and objects that touch each other, until it has converged; elsewhere Newton.
         contacts_per_robot: Capacity of contact buffers per robot like the P2AT, on average over a world's
             robots; other robots count in proportion to their touching geoms.
         pairs_per_robot: Geom pairs of one kind that engine `jax` examines, likewise; the nearest by bounding
@@ -45,7 +50,7 @@ class Physics:
     iterations: Annotated[int, AT_LEAST_ONE] = 10
     ls_iterations: Annotated[int, AT_LEAST_ONE] = 10
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    solver: Literal["CG", "Newton"] = "CG"
+    solver: Literal["CG", "Newton", "block"] = "CG"
     contacts_per_robot: Annotated[int, AT_LEAST_ONE] = 16
     pairs_per_robot: Annotated[int, AT_LEAST_ONE] = 32
     sleep_tolerance: Annotated[float, NOT_NEGATIVE] = 0.0
