@@ -102,6 +102,12 @@ int atomicMax(int* at, int value) {
     *at = std::max(old, value);
     return old;
 }
+int atomicAdd(int* at, int value) {
+    const std::lock_guard<std::mutex> only(making);
+    const int old = *at;
+    *at += value;
+    return old;
+}
 int __popc(unsigned x) { return __builtin_popcount(x); }
 int __ffs(int x) { return __builtin_ffs(x); }
 """
@@ -166,3 +172,33 @@ def run_as_on_a_gpu(code: str, kernel: Any, args: list[Any], dim: int, block: in
         source = source.replace(word, ", ".join(them))
     _library(GPU + source.replace("{CODE}", "{" + code + "}"))(*values, dim)
     return arrays
+
+
+def run_struct_as_on_a_gpu(code: str, fields: dict[str, np.ndarray | int], dim: int, block: int, **numbers: int) -> None:
+    """Run native code whose data are the struct `p`; what it writes is in its arrays then.
+
+    Args:
+        code: Native code of the function that the kernel calls, which knows its thread as `index`.
+        fields: Arrays, contiguous, and integers of the struct.
+        dim: Threads.
+        block: Threads of a block.
+        numbers: Its other arguments.
+    """
+    arrays = {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
+    whole = {name: value for name, value in fields.items() if not isinstance(value, np.ndarray)}
+    kinds = {name: "float" if value.dtype == np.float32 else "int" for name, value in arrays.items()}
+    begin = [f"wp::array_t<{kind}> {name};" for name, kind in kinds.items()]
+    begin = ["struct {", *begin, *(f"int {name};" for name in whole), "} p;"]
+    begin += [f"p.{name}.data = ({kind}*)arrays[{i}];" for i, (name, kind) in enumerate(kinds.items())]
+    begin += [f"p.{name} = numbers[{i}];" for i, name in enumerate(whole)]
+    words = {
+        "PARAMETERS": ["const int index", "void** arrays", "int* numbers", *(f"const int {name}" for name in numbers)],
+        "GIVEN": ["void** arrays", "int* numbers", *(f"int own_{name}" for name in numbers)],
+        "CALL": ["index", "arrays", "numbers", *(f"own_{name}" for name in numbers)],
+    }
+    source = RUN.replace("BLOCK", str(block))
+    for word, them in words.items():
+        source = source.replace(word, ", ".join(them))
+    run = _library(GPU + source.replace("{CODE}", "{" + " ".join(begin) + code + "}"))
+    pointers = (ctypes.c_void_p * len(arrays))(*(value.ctypes.data for value in arrays.values()))
+    run(pointers, (ctypes.c_int * len(whole))(*whole.values()), *map(ctypes.c_int, numbers.values()), dim)

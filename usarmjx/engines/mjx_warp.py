@@ -403,10 +403,10 @@ class WarpEngine(MjxEngine):
             self.mx = self.mx.tree_replace({"opt._impl.graph_mode": mode})
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
-        block = self.solver == "block"
-        if self._graphs.control_step:
-            return multi_step(self.physics.substeps, block), 1
-        return (multi_step(1, block), self.physics.substeps) if block else super()._step_and_count()
+        count = self.physics.substeps
+        if self.solver == "block":
+            return (multi_step(count, True), 1) if self._graphs.control_step else (multi_step(1, True), count)
+        return (multi_step(count), 1) if self._graphs.control_step else super()._step_and_count()
 
     def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a step function that blocks on a CPU: `block_until_finished` misses dropped results."""
