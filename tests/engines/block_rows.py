@@ -26,7 +26,7 @@ def scattered(model: mujoco.MjModel, places: np.ndarray, rng: np.random.Generato
 
     Args:
         model: The model.
-        places: Points of the ground.
+        places: Points relative to the arena's floor.
         rng: Source of the turns.
         gap: Largest height of a robot's lowest point above its place [m].
     """
@@ -34,14 +34,15 @@ def scattered(model: mujoco.MjModel, places: np.ndarray, rng: np.random.Generato
     mujoco.mj_kinematics(model, data)
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     robots = [j for j in free if model.tree_dofnum[model.dof_treeid[model.jnt_dofadr[j]]] > 6]
-    qpos = model.qpos0.copy()
+    qpos, floor = model.qpos0.copy(), data.geom("floor").xpos[2]
     for joint, place in zip(robots, places, strict=False):
         root, at = model.jnt_bodyid[joint], model.jnt_qposadr[joint]
-        geoms = (model.body_rootid[model.geom_bodyid] == root) & (model.geom_contype | model.geom_conaffinity > 0)
+        touching = (model.geom_contype | model.geom_conaffinity) != 0
+        geoms = touching & (model.body_rootid[model.geom_bodyid] == root)
         turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
         middle = data.geom_xpos[geoms] + (turn @ model.geom_aabb[geoms, :3, None])[..., 0]
         low = (middle - (np.abs(turn) @ model.geom_aabb[geoms, 3:, None])[..., 0])[:, 2].min()
-        qpos[at : at + 3] = place + [0.0, 0.0, qpos[at + 2] - low + rng.uniform(0.0, gap)]
+        qpos[at : at + 3] = place + [0.0, 0.0, floor + qpos[at + 2] - low + rng.uniform(0.0, gap)]
         yaw = rng.uniform(-np.pi, np.pi)
         qpos[at + 3 : at + 7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
     return qpos
