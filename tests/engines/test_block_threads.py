@@ -34,13 +34,13 @@ def test_threads_find_what_one_alone_finds(lanes: int, monkeypatch: pytest.Monke
     solved = [solve_in_c(model, state) for state in random_states(model, places, 3, seed=1)]
     m, d = model_of(model), data_of(model, solved)
     problems = []
-    make = solver._problem
+    make = solver.make_problem
 
     def keep(m: Any, d: Any) -> Any:
         problems.append(make(m, d))
         return problems[-1]
 
-    monkeypatch.setattr(solver, "_problem", keep)
+    monkeypatch.setattr(solver, "make_problem", keep)
     solver.solve(m, d)
     problem = problems[0]
     names = list(solver.problem_type().vars)

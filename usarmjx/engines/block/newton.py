@@ -283,6 +283,7 @@ LOAD_CODE = """
 NEWTON_CODE = """
         const int tiles = (n + 1) / 2;
         int iteration = 0;
+        float before = 0.0f;
         for (bool converged = false; !converged && iteration < MOST_ITERATIONS; ++iteration) {
             assess();
             wait();
@@ -358,7 +359,9 @@ NEWTON_CODE = """
             square = sum(square);
             wait();
             float alpha = 1.0f;
-            converged = !(fall > enough);  // also ends where numbers are not finite
+            // Near the end, steps that do not shrink are roundings. This also ends where numbers are not finite.
+            converged = !(fall > enough) || (fall < NEAR_END * enough && iteration > 0 && fall > 0.25f * before);
+            before = fall;
             if (!converged) {
                 float low = 0.0f, high = -1.0f;
                 for (int turn = 0; turn < MOST_EVALUATIONS; ++turn) {
@@ -427,6 +430,7 @@ MACROS = {
     "MOST_EVALUATIONS": MOST_EVALUATIONS,
     "STEP_TOLERANCE": f"{STEP_TOLERANCE}f",
     "SLOPE_TOLERANCE": f"{SLOPE_TOLERANCE}f",
+    "NEAR_END": "1e4f",
     "LEAST_ENERGY": "1e-6f",
     "TINY": "1e-15f",
 }

@@ -139,7 +139,7 @@ def newton_kernel(which: int) -> Any:  # noqa: ANN401 - as above
     return wp.kernel(solve_islands, enable_backward=False, grid_stride=False, module="unique")
 
 
-def _problem(m: Any, d: Any) -> Any:  # noqa: ANN401 - as above
+def make_problem(m: Any, d: Any) -> Any:  # noqa: ANN401 - as above
     """Return the struct of a model and the data of its worlds, with new arrays for the islands."""
     p = problem_type()()
     worlds, trees = d.nworld, m.ntree
@@ -175,7 +175,7 @@ def solve(m: Any, d: Any) -> None:  # noqa: ANN401 - as above
     Writes accelerations, generalized constraint forces, forces and states of the rows, the product of mass matrix
     and accelerations, and the most iterations of a world's islands.
     """
-    p = _problem(m, d)
+    p = make_problem(m, d)
     device = d.qacc.device
     wp.launch(
         islands_kernel(), dim=d.nworld * islands.THREADS, inputs=[p], block_dim=islands.THREADS, device=device
