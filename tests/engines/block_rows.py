@@ -1,14 +1,15 @@
 """Constraint rows of C MuJoCo in the arrays of MuJoCo Warp, for the solver `block` alone."""
 
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
 import mujoco
 import numpy as np
-
 import warp as wp
+
 from usarmjx.engines.block.islands import THREADS
-from usarmjx.engines.block.solver import coefficients_type, islands_kernel, make_problem, solve
+from usarmjx.engines.block.solver import WARP_TYPES, islands_kernel, make_problem, solve
 
 State = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Positions, velocities, controls and accelerations of the last step."""
@@ -19,11 +20,15 @@ def exact(model: mujoco.MjModel) -> mujoco.MjModel:
     model.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     model.opt.iterations, model.opt.tolerance = 200, 1e-10
     model.opt.ls_iterations, model.opt.ls_tolerance = 100, 1e-6
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # with islands, the states of rows are in their order
+    model.opt.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_ISLAND
+    )  # with islands, the states of rows are in their order
     return model
 
 
-def scattered(model: mujoco.MjModel, places: np.ndarray, rng: np.random.Generator, gap: float = 0.02) -> np.ndarray:
+def scattered(
+    model: mujoco.MjModel, places: np.ndarray, rng: np.random.Generator, gap: float = 0.02
+) -> np.ndarray:
     """Return qpos with each robot over one of the places (places, 3), turned at random.
 
     Args:
@@ -44,7 +49,8 @@ def scattered(model: mujoco.MjModel, places: np.ndarray, rng: np.random.Generato
         turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
         middle = data.geom_xpos[geoms] + (turn @ model.geom_aabb[geoms, :3, None])[..., 0]
         low = (middle - (np.abs(turn) @ model.geom_aabb[geoms, 3:, None])[..., 0])[:, 2].min()
-        qpos[at : at + 3] = place + [0.0, 0.0, floor + qpos[at + 2] - low + rng.uniform(0.0, gap)]
+        qpos[at : at + 3] = place
+        qpos[at + 2] = floor + place[2] + model.qpos0[at + 2] - low + rng.uniform(0.0, gap)
         yaw = rng.uniform(-np.pi, np.pi)
         qpos[at + 3 : at + 7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
     return qpos
@@ -101,7 +107,9 @@ def data_of(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: bool = T
     size = [(row != 0.0).sum(1) for row in dense]
     contacts = [contact for data in solved for contact in data.contact]
     ids = [
-        np.where(data.efc_type >= int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS), data.efc_id + begin, 0)
+        np.where(
+            data.efc_type >= int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS), data.efc_id + begin, 0
+        )
         for data, begin in zip(solved, first, strict=False)
     ]
     addresses = np.array([contact.efc_address for contact in contacts] or [0], np.int32)
@@ -112,7 +120,9 @@ def data_of(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: bool = T
         id=_array(ids, np.int32, rows),
         J_rownnz=_array(size, np.int32, rows),
         J_rowadr=_array([np.cumsum([0, *n])[:-1] for n in size], np.int32, rows),
-        J_colind=wp.array(_array([np.nonzero(row)[1] for row in dense], np.int32).numpy()[:, None], dtype=int),
+        J_colind=wp.array(
+            _array([np.nonzero(row)[1] for row in dense], np.int32).numpy()[:, None], dtype=int
+        ),
         J=wp.array(_array(values).numpy()[:, None], dtype=float) if sparse else _array(dense, size=rows),
         D=_array([data.efc_D for data in solved], size=rows),
         aref=_array([data.efc_aref for data in solved], size=rows),
@@ -124,7 +134,7 @@ def data_of(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: bool = T
     contact = SimpleNamespace(
         dim=wp.array(np.array([contact.dim for contact in contacts] or [1], np.int32), dtype=int),
         efc_address=wp.array(addresses[:, None].copy(), dtype=int),
-        friction=wp.array(frictions, dtype=coefficients_type()),
+        friction=wp.array(frictions, dtype=import_module(WARP_TYPES).vec5),
     )
     return SimpleNamespace(
         nworld=len(solved),
@@ -155,8 +165,8 @@ def jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 def error(model: mujoco.MjModel, data: mujoco.MjData, found: np.ndarray) -> float:
     """Return the error of accelerations in the norm of the mass matrix.
 
-    It is relative to the largest of the accelerations with constraints, without them, and a tenth of that from the
-    force of any single row: opposite forces of robots that are stuck in each other exceed their sum by far.
+    It is relative to the largest of the accelerations with constraints, without them, and a tenth of that
+    from the force of any single row: opposite forces of robots in each other exceed their sum by far.
     """
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
@@ -176,7 +186,9 @@ def solved_alone(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: boo
     return data
 
 
-def roll_out(model: mujoco.MjModel, qpos: np.ndarray, ctrl: np.ndarray, steps: int, block: bool) -> mujoco.MjData:
+def roll_out(
+    model: mujoco.MjModel, qpos: np.ndarray, ctrl: np.ndarray, steps: int, block: bool
+) -> mujoco.MjData:
     """Return C MuJoCo's data after some steps, whose constraint forces solver `block` finds if asked.
 
     Positions and velocities then follow from its accelerations.

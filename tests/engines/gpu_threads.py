@@ -174,7 +174,9 @@ def run_as_on_a_gpu(code: str, kernel: Any, args: list[Any], dim: int, block: in
     return arrays
 
 
-def run_struct_as_on_a_gpu(code: str, fields: dict[str, np.ndarray | int], dim: int, block: int, **numbers: int) -> None:
+def run_struct_as_on_a_gpu(
+    code: str, fields: dict[str, np.ndarray | int], dim: int, block: int, **numbers: int
+) -> None:
     """Run native code whose data are the struct `p`; what it writes is in its arrays then.
 
     Args:
@@ -192,7 +194,12 @@ def run_struct_as_on_a_gpu(code: str, fields: dict[str, np.ndarray | int], dim: 
     begin += [f"p.{name}.data = ({kind}*)arrays[{i}];" for i, (name, kind) in enumerate(kinds.items())]
     begin += [f"p.{name} = numbers[{i}];" for i, name in enumerate(whole)]
     words = {
-        "PARAMETERS": ["const int index", "void** arrays", "int* numbers", *(f"const int {name}" for name in numbers)],
+        "PARAMETERS": [
+            "const int index",
+            "void** arrays",
+            "int* numbers",
+            *(f"const int {name}" for name in numbers),
+        ],
         "GIVEN": ["void** arrays", "int* numbers", *(f"int own_{name}" for name in numbers)],
         "CALL": ["index", "arrays", "numbers", *(f"own_{name}" for name in numbers)],
     }

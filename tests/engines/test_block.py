@@ -1,7 +1,6 @@
 """Solver `block` of engine `warp` against C MuJoCo's Newton solver, converged to 1e-10, on the same rows.
 
-Errors of accelerations are in the norm of the mass matrix, relative to the larger of the accelerations with and
-without constraints.
+`block_rows.error` defines errors of accelerations.
 """
 
 import logging
@@ -30,7 +29,7 @@ from usarmjx.sim.scene import build_scene
 ERROR = 1e-5
 """Of accelerations: single precision, and steps of Newton's method end below it."""
 FORCE_ERROR = 1e-4
-"""Of constraint forces, relative to the largest of a state; stiff rows have the roundings of their positions."""
+"""Of constraint forces, relative to the largest of a state: those of stiff rows amplify roundings."""
 STATES = 8
 """Of each case, 0.1 s apart."""
 
@@ -44,15 +43,17 @@ MECHANISM = """
         <geom type="box" size=".1 .05 .05" mass=".5"/></body>
       <body pos="0 .2 0"><joint name="b" axis="0 1 0" frictionloss=".1"/><geom size=".05" mass=".2"/></body>
     </body>
-    <body name="one" pos="0 .5 .2"><freejoint/><geom size=".1" mass="1" friction="1 .02 .01" condim="{condim}"/></body>
-    <body name="two" pos=".25 .5 .3"><freejoint/><geom size=".1" mass="2" friction="1 .02 .01" condim="{condim}"/></body>
+    <body name="one" pos="0 .5 .2"><freejoint/>
+      <geom size=".1" mass="1" friction="1 .02 .01" condim="{condim}"/></body>
+    <body name="two" pos=".25 .5 .3"><freejoint/>
+      <geom size=".1" mass="2" friction="1 .02 .01" condim="{condim}"/></body>
     <body pos="2 0 1"><joint axis="0 1 0"/><geom type="box" size=".1 .02 .02" pos=".1 0 0" mass="2"/></body>
   </worldbody>
   <equality><joint joint1="a" joint2="b"/><connect body1="one" body2="two" anchor=".12 0 0"/></equality>
   <actuator><motor joint="a" gear="2"/></actuator>
 </mujoco>
 """
-"""Joint limits, friction losses, equalities of joints and bodies, contacts of bodies, a tree without constraint."""
+"""Joint limits, friction losses, equalities of joints and bodies, contacts, a tree without constraints."""
 
 
 def check(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: bool = True) -> None:
@@ -64,9 +65,13 @@ def check(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: bool = Tru
         acceleration, rows = found.qacc.numpy()[k].astype(float), data.nefc
         assert error(model, data, acceleration) < ERROR
         strong = np.abs(data.efc_force).max(initial=1.0)
-        np.testing.assert_allclose(found.efc.force.numpy()[k, :rows], data.efc_force, atol=FORCE_ERROR * strong)
+        np.testing.assert_allclose(
+            found.efc.force.numpy()[k, :rows], data.efc_force, atol=FORCE_ERROR * strong
+        )
         np.testing.assert_array_equal(found.efc.state.numpy()[k, :rows], data.efc_state)
-        np.testing.assert_allclose(found.qfrc_constraint.numpy()[k], data.qfrc_constraint, atol=FORCE_ERROR * strong)
+        np.testing.assert_allclose(
+            found.qfrc_constraint.numpy()[k], data.qfrc_constraint, atol=FORCE_ERROR * strong
+        )
         momentum = mass @ acceleration
         np.testing.assert_allclose(found.efc.Ma.numpy()[k], momentum, atol=1e-4 * np.abs(momentum).max())
     assert found.solver_niter.numpy().max() < 20
@@ -104,7 +109,9 @@ def test_accelerations_and_forces_are_those_of_c_mujoco(robots: tuple[str, ...],
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("sparse", [True, False])
-@pytest.mark.parametrize(("cone", "condim"), [("elliptic", 1), ("elliptic", 4), ("elliptic", 6), ("pyramidal", 3)])
+@pytest.mark.parametrize(
+    ("cone", "condim"), [("elliptic", 1), ("elliptic", 4), ("elliptic", 6), ("pyramidal", 3)]
+)
 def test_limits_friction_and_equalities_are_those_of_c_mujoco(cone: str, condim: int, sparse: bool):
     model = exact(mujoco.MjModel.from_xml_string(MECHANISM.format(cone=cone, condim=condim)))
     states = random_states(model, np.zeros((0, 3)), 12, seed=0)
@@ -117,7 +124,7 @@ def test_limits_friction_and_equalities_are_those_of_c_mujoco(cone: str, condim:
 def test_robots_in_touch_are_one_island_and_others_their_own():
     scene = build_scene("yellow", ["P2AT"] * 3)
     model, start = exact(scene.model), np.array(scene.arena.starts[0].at) * [1.0, 1.0, 0.0]
-    places = start + [[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [5.0, 0.0, 0.0]]
+    places = start + np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [5.0, 0.0, 0.0]])
     data = mujoco.MjData(model)
     data.qpos[:] = scattered(model, places, np.random.default_rng(0), gap=0.0)
     mujoco.mj_forward(model, data)
@@ -158,12 +165,15 @@ def test_what_nobody_drives_gains_no_energy():
     scene = build_scene("yellow", ["P2AT", "P2DX"])
     model = exact(scene.model)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    places = places_of(scene.arena.starts, 1, 0, crowd=False) + [[0.0, 0.0, 0.0], [0.1, 0.0, 0.5]]
+    over = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.5]])
+    places = places_of(scene.arena.starts, 1, 0, crowd=False) + over
     qpos = scattered(model, places, np.random.default_rng(3))
     before = roll_out(model, qpos, np.zeros(model.nu), 1, block=False).energy.sum()
     energies = []
     for steps in (40, 80, 120):
-        one, other = (roll_out(model, qpos, np.zeros(model.nu), steps, block).energy.sum() for block in (False, True))
+        one, other = (
+            roll_out(model, qpos, np.zeros(model.nu), steps, block).energy.sum() for block in (False, True)
+        )
         energies.append(other)
         assert other - before == pytest.approx(one - before, rel=0.02)
     assert before > energies[0] > energies[1] > energies[2]

@@ -1,4 +1,4 @@
-"""Kernels of solver `block` as a GPU's threads run them: what they do together, with barriers; see `gpu_threads`."""
+"""Kernels of solver `block` as a GPU's threads run them, with barriers; see `gpu_threads`."""
 
 from typing import Any
 
@@ -19,7 +19,9 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 def arrays_of(problem: Any, values: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of a problem as NumPy has them."""
     return {
-        name: field.numpy().copy() if hasattr(field := getattr(problem, name), "numpy") else np.zeros(1, np.float32)
+        name: field.numpy().copy()
+        if hasattr(field := getattr(problem, name), "numpy")
+        else np.zeros(1, np.float32)
         if field is None
         else int(field)
         for name in values
@@ -29,7 +31,8 @@ def arrays_of(problem: Any, values: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize("lanes", [1, 8, 16, 32, 128])
 def test_threads_find_what_one_alone_finds(lanes: int, monkeypatch: pytest.MonkeyPatch):
     scene = build_scene("yellow", ["P2AT", "P2AT"])
-    places = np.array([[*scene.arena.starts[0].at[:2], 0.0]] * 2) + [[0.0, 0.0, 0.0], [0.45, 0.1, 0.0]]
+    x, y, _ = scene.arena.starts[0].at
+    places = np.array([[x, y, 0.0], [x + 0.45, y + 0.1, 0.0]])
     model = exact(scene.model)
     solved = [solve_in_c(model, state) for state in random_states(model, places, 3, seed=1)]
     m, d = model_of(model), data_of(model, solved)
@@ -45,17 +48,32 @@ def test_threads_find_what_one_alone_finds(lanes: int, monkeypatch: pytest.Monke
     problem = problems[0]
     names = list(solver.problem_type().vars)
     alone = arrays_of(problem, dict.fromkeys(names))
-    fields = {**alone, **{name: np.zeros_like(alone[name]) for name in ("roots", "counts", "tasks", "acceleration", "force")}}
+    fields = {
+        **alone,
+        **{
+            name: np.zeros_like(alone[name]) for name in ("roots", "counts", "tasks", "acceleration", "force")
+        },
+    }
     fields["scratch"] = np.zeros(alone["scratch_size"] * 8, np.float32)
-    words = {"LANES": lanes, "BLOCK": 128, "SIZE_CLASS": 0, "SLOT": 744 if lanes < 32 else 2944 if lanes == 32 else 11760}
-    code = expand_macros(newton.NEED_CODE + islands.SIZES_CODE + islands.CODE, solver.MACROS)
+    words = {
+        "LANES": lanes,
+        "BLOCK": 128,
+        "SIZE_CLASS": 0,
+        "SLOT": 744 if lanes < 32 else 2944 if lanes == 32 else 11760,
+    }
+    code = expand_macros(islands.CODE, solver.MACROS)
     run_struct_as_on_a_gpu(code, fields, 3 * islands.THREADS, islands.THREADS)
     for name in ("roots", "counts", "islands"):
         np.testing.assert_array_equal(fields[name], alone[name], name)
     trees = 3 * model.ntree
     for which in range(3):
         slot = solver.CLASSES[which].slot
-        words = {"LANES": lanes, "BLOCK": max(lanes, 32), "SIZE_CLASS": which, "SLOT": slot if slot * 4 * max(lanes, 32) // lanes < 1 << 22 else 0}
+        words = {
+            "LANES": lanes,
+            "BLOCK": max(lanes, 32),
+            "SIZE_CLASS": which,
+            "SLOT": slot if slot * 4 * max(lanes, 32) // lanes < 1 << 22 else 0,
+        }
         native = expand_macros(newton.CODE, {**solver.MACROS, **words})
         run_struct_as_on_a_gpu(native, fields, trees * lanes, max(lanes, 32), groups=trees)
     np.testing.assert_array_equal(fields["iterations"], alone["iterations"])

@@ -77,6 +77,22 @@ def test_jax_drives_as_c_mujoco_does(jax_batch, driven, reference):
 
 
 @pytest.mark.oracle
+def test_solver_block_drives_as_c_mujoco_does(scene, reference):
+    """Within 2 % of the way, as an engine of its own solver; C MuJoCo's is stopped early here, too."""
+    pytest.importorskip("warp", reason="needs warp-lang")
+    batch = Batch(
+        build_scene(COURSE, [BLIND, BLIND], replace(CONVERGED, solver="block")), 2, engine="warp", seed=3
+    )
+    assert (batch.engine.solver, batch.engine.uncovered) == ("block", None)
+    state = drive_for(batch)
+    np.testing.assert_allclose(roots(batch, state)[..., :3], reference[..., :3], atol=PARITY)
+    batch.check_overflow(state)
+    *_, iterations = map(np.asarray, batch.engine.solved(state.physics))
+    assert (iterations >= 1).all()
+    assert (iterations < 15).all()
+
+
+@pytest.mark.oracle
 def test_warp_drives_as_c_mujoco_does(scene, reference):
     pytest.importorskip("warp", reason="needs warp-lang")
     batch = Batch(scene, 2, engine="warp", seed=3)

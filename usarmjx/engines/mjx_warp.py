@@ -275,7 +275,7 @@ class WarpEngine(MjxEngine):
 
     Attributes:
         solver: Name of the constraint solver; not that of the settings where `uncovered` is set.
-        uncovered: What the scene has that solver `block` does not cover, so that MuJoCo Warp's Newton solves it.
+        uncovered: What the scene has that solver `block` does not cover: MuJoCo Warp's Newton solves it.
     """
 
     name = "warp"
@@ -336,7 +336,9 @@ class WarpEngine(MjxEngine):
                 model.opt.solver = mujoco.mjtSolver.mjSOL_CG
             else:
                 self.solver = "Newton"
-                LOGGER.warning("solver 'block' does not cover %s: MuJoCo Warp's Newton solves all", self.uncovered)
+                LOGGER.warning(
+                    "solver 'block' does not cover %s: MuJoCo Warp's Newton solves all", self.uncovered
+                )
         # Its kernels print a line per world and step when the solver uses all its iterations, which
         # halves the speed. `overflow` reports it instead.
         return super()._put_model(model).tree_replace({"opt._impl.warn_overflow": 0})

@@ -1,28 +1,28 @@
-"""Warp kernel that sorts the constraint rows of each world by island.
+"""Native code that sorts the constraint rows of each world by island.
 
-Kinematic trees that a constraint couples are one island. A constraint is one row, or all rows of a contact with
-an elliptic cone. A block of threads handles a world: its threads join the trees, then each thread lists the
-constraints of its islands in the order of their rows.
+Kinematic trees that a constraint couples are one island. A constraint is one row, or all rows of a contact
+with an elliptic cone. A block of threads handles a world: its threads join the trees, then each thread lists
+the constraints of its islands in the order of their rows.
 """
 
-from functools import cache
-from typing import Any
-
-import warp as wp
-
-wp.set_module_options({"enable_backward": False, "fast_math": False})
+from usarmjx.base.errors import EngineError
 
 THREADS = 64
 """Threads of a block, which handles one world."""
 ROW_BITS = 16
 """Bits of a row's index in a list of constraints; its number of rows is above them."""
-MOST_ROWS = 1 << ROW_BITS
-"""Rows of a world must be fewer."""
-TASK_NUMBERS = 8
-"""Numbers of an island: its trees, degrees of freedom, rows, constraints, numbers of its Hessians, offset of its
-constraints in the list of its world."""
-SIZE_CLASSES = 4
-"""Classes of islands by the memory that they need; see `newton`."""
+MOST_ROWS = 18_000
+"""Most rows of a world: places in Hessians have as many bits, and six rows have 21 numbers there."""
+TASK_NUMBERS = 6
+"""Numbers of an island: its trees, degrees of freedom, rows, constraints, numbers of its Hessians, offset of
+its constraints in the list of its world."""
+NEED_CODE = """
+    // Numbers that an island needs: the layout is that of `newton.LOAD_CODE`.
+    const auto need_of = [](int n, int rows, int constraints, int hessians) -> int {
+        return rows * (n + 5) + 2 * constraints + hessians + (n + 1) * (n + 2) / 2 + n * (n + 1) / 2 + 7 * n;
+    };
+"""
+"""Native function of an island's degrees of freedom, rows, constraints and numbers of their Hessians."""
 
 SIZES_CODE = """
     const int worlds = p.worlds, trees = p.trees, dofs = p.dofs;
@@ -32,7 +32,7 @@ SIZES_CODE = """
 """
 """Native constants: sizes of the arrays."""
 
-CODE = """
+SORT_CODE = """
 #if defined(__CUDA_ARCH__)
     const int lane = (int)threadIdx.x, lanes = THREADS;
     const int world = (int)((unsigned)index / THREADS);
@@ -170,3 +170,15 @@ CODE = """
     }
 """
 """Native code of a block of threads."""
+CODE = NEED_CODE + SIZES_CODE + SORT_CODE
+"""Native code of the kernel."""
+
+
+def check_rows(rows: int) -> None:
+    """Check the room for constraint rows of a world.
+
+    Raises:
+        EngineError: There are too many.
+    """
+    if rows > MOST_ROWS:
+        raise EngineError(f"solver 'block' takes {MOST_ROWS} constraint rows of a world, found {rows}")

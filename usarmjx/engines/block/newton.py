@@ -1,9 +1,9 @@
-"""Warp kernel that solves the islands of constraint rows, each by Newton's method to convergence.
+"""Native code that solves the islands of constraint rows, each by Newton's method to convergence.
 
-The problem is MuJoCo's: the acceleration that minimises the deviation from the unconstrained one, weighted by
-the mass matrix, plus a cost of each constraint (the "Computation" chapter of its documentation). Some lanes of a
-warp, or a block of threads, handle an island; its rows, mass matrix and Hessian are in shared memory. Sums have
-a fixed order. On a CPU, the first lane handles the whole island.
+The problem is MuJoCo's: the acceleration that minimises the deviation from the unconstrained one, weighted
+by the mass matrix, plus a cost of each constraint (the "Computation" chapter of its documentation). Some
+lanes of a warp, or a block of threads, handle an island; its rows, mass matrix and Hessian are in shared
+memory. Sums have a fixed order. On a CPU, the first lane handles the whole island.
 """
 
 from usarmjx.engines.block.islands import ROW_BITS, SIZES_CODE
@@ -17,14 +17,6 @@ STEP_TOLERANCE = 1e-5
 Hessian or mass matrix, after which an island has converged."""
 SLOPE_TOLERANCE = 0.01
 """Slope at the end of a line search, relative to that at its start."""
-
-NEED_CODE = """
-    // Numbers that an island needs, given its degrees of freedom, rows, constraints and numbers of their Hessians.
-    const auto need_of = [](int n, int rows, int constraints, int hessians) -> int {
-        return rows * (n + 5) + 2 * constraints + hessians + (n + 1) * (n + 2) / 2 + n * (n + 1) / 2 + 7 * n;
-    };
-"""
-"""Native function of the layout in memory that `CODE` has."""
 
 GROUP_CODE = """
 #if defined(__CUDA_ARCH__)
@@ -125,7 +117,8 @@ UNIT_CODE = """
                     for (int i = 1; i <= j; ++i, ++k) {
                         const float other = x[r + i] * shape[r + i] * along;
                         const float across = (i == j ? 1.0f : 0.0f) - one * other;
-                        h[k] = stiff * mu * (mu * one * other - gap * along * across) * shape[r + i] * shape[r + j];
+                        const float both = mu * one * other - gap * along * across;
+                        h[k] = stiff * mu * both * shape[r + i] * shape[r + j];
                     }
                 }
             }
@@ -147,7 +140,8 @@ UNIT_CODE = """
             const float mu = shape[r], normal = (x[r] + alpha * v[r]) * mu, rate = v[r] * mu;
             float square = 0.0f, mixed = 0.0f, speed = 0.0f;
             for (int j = 1; j < dim; ++j) {
-                const float part = (x[r + j] + alpha * v[r + j]) * shape[r + j], change = v[r + j] * shape[r + j];
+                const float part = (x[r + j] + alpha * v[r + j]) * shape[r + j];
+                const float change = v[r + j] * shape[r + j];
                 square += part * part;
                 mixed += part * change;
                 speed += change * change;
@@ -222,9 +216,10 @@ LOAD_CODE = """
         };
         for (int i = lane; i < n; i += lanes) {
             const int row = dof[i], from = p.mass_start.data[row];
+            const float* const values = p.inertia.data + (size_t)world * p.masses + from;
             for (int k = 0; k < p.mass_size.data[row]; ++k)
-                mass[at(i, place(p.mass_columns.data[from + k]))] = p.inertia.data[(size_t)world * p.masses + from + k];
-            a[i] = p.warm ? p.warm_acceleration.data[first_dof + row] : p.smooth_acceleration.data[first_dof + row];
+                mass[at(i, place(p.mass_columns.data[from + k]))] = values[k];
+            a[i] = (p.warm ? p.warm_acceleration : p.smooth_acceleration).data[first_dof + row];
             smooth[i] = p.smooth_force.data[first_dof + row];
         }
         for (int u = lane; u < constraints; u += lanes) {
@@ -235,7 +230,8 @@ LOAD_CODE = """
                 : what == FRICTION_DOF ? KIND_FRICTION : KIND_ONE_SIDED;
             plan[2 * u] = r | dim << 16 | kind << 20;
             plan[2 * u + 1] = (int)((unsigned)list[2 * u + 1] >> ROW_BITS);
-            const float* const rubs = (const float*)p.friction.data + (kind == KIND_CONE ? (size_t)p.id.data[first_row + from] * 5 : 0);
+            const size_t contact = kind == KIND_CONE ? p.id.data[first_row + from] : 0;
+            const float* const rubs = (const float*)p.friction.data + contact * 5;
             for (int j = 0; j < dim; ++j) {
                 weight[r + j] = p.weights.data[first_weight + from + j];
                 x[r + j] = -p.reference.data[first_row + from + j];
@@ -244,9 +240,9 @@ LOAD_CODE = """
                     : j > 0 ? rubs[j - 1] : rubs[0] * p.impedance.data[world % p.impedances];
                 float* const row = jac + (r + j) * n;
                 if (sparse) {
-                    const int start = p.row_start.data[first_row + from + j], size = p.row_size.data[first_row + from + j];
-                    const size_t value = (size_t)world * most_values + start;
-                    for (int k = 0; k < size; ++k) row[place(p.columns.data[value + k])] = p.jacobian.data[value + k];
+                    const size_t start = (size_t)world * most_values + p.row_start.data[first_row + from + j];
+                    for (int k = 0; k < p.row_size.data[first_row + from + j]; ++k)
+                        row[place(p.columns.data[start + k])] = p.jacobian.data[start + k];
                 } else {
                     const float* const values = p.jacobian.data + (first_weight + from + j) * padded_dofs;
                     for (int i = 0; i < n; ++i) row[i] = values[dof[i]];
@@ -322,7 +318,7 @@ NEWTON_CODE = """
                 if (j1 > j0 && i1 > i0) factor[at(i1, j1)] = h11;
             }
             wait();
-            // Cholesky factor below the diagonal, column by column; the last row becomes that of the half solution.
+            // Cholesky factor below the diagonal, column by column; the last row becomes half the solution.
             float fall = 0.0f;
             for (int k = 0; k < n; ++k) {
                 const float* const pivot = factor + at(k, 0);
@@ -359,8 +355,9 @@ NEWTON_CODE = """
             square = sum(square);
             wait();
             float alpha = 1.0f;
-            // Near the end, steps that do not shrink are roundings. This also ends where numbers are not finite.
-            converged = !(fall > enough) || (fall < NEAR_END * enough && iteration > 0 && fall > 0.25f * before);
+            // Near the end, steps that do not shrink are roundings. Numbers that are not finite end it, too.
+            const bool rounding = iteration > 0 && fall < NEAR_END * enough && fall > 0.25f * before;
+            converged = rounding || !(fall > enough);
             before = fall;
             if (!converged) {
                 float low = 0.0f, high = -1.0f;
@@ -392,9 +389,10 @@ NEWTON_CODE = """
         for (int u = lane; u < constraints; u += lanes) {
             const int from = list[2 * u] & (1 << ROW_BITS) - 1, r = begin_of(u), dim = size_of(u);
             const float* const h = hessian + plan[2 * u + 1];
-            int told_state = kind_of(u) == KIND_FRICTION ? (f[r] > 0.0f ? LINEAR_NEGATIVE : LINEAR_POSITIVE) : SATISFIED;
+            int told_state = SATISFIED;
+            if (kind_of(u) == KIND_FRICTION) told_state = f[r] > 0.0f ? LINEAR_NEGATIVE : LINEAR_POSITIVE;
             if (h[0] != 0.0f) told_state = QUADRATIC;
-            if (kind_of(u) == KIND_CONE && h[0] != 0.0f && h[0] != weight[r]) told_state = CONE;
+            if (kind_of(u) == KIND_CONE && h[0] != 0.0f && h[0] != weight[r]) told_state = SLIDING;
             for (int j = 0; j < dim; ++j) {
                 p.force.data[first_row + from + j] = f[r + j];
                 p.state.data[first_weight + from + j] = told_state;
@@ -438,6 +436,6 @@ MACROS = {
 
 
 def most_numbers(dofs: int, rows: int) -> int:
-    """Return the numbers that an island of a world may need, given the world's degrees of freedom and rows."""
+    """Return the most numbers that an island needs, given its world's degrees of freedom and rows."""
     # One constraint of six rows has 21 numbers of its Hessian.
     return rows * (dofs + 5 + 2 + 4) + (dofs + 1) * (dofs + 2) // 2 + dofs * (dofs + 1) // 2 + 7 * dofs

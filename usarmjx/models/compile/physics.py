@@ -34,8 +34,8 @@ class Physics:
         iterations: Most iterations of the solver.
         ls_iterations: Most iterations of the line search.
         cone: Friction cone of the contacts.
-        solver: MuJoCo's constraint solver. `block`, on engine `warp`: Newton's method for each group of robots
-            and objects that touch each other, until it has converged; elsewhere Newton.
+        solver: MuJoCo's constraint solver. `block`, on engine `warp`: Newton's method for each group of
+            robots and objects that touch each other, until it has converged; elsewhere Newton.
         contacts_per_robot: Capacity of contact buffers per robot like the P2AT, on average over a world's
             robots; other robots count in proportion to their touching geoms.
         pairs_per_robot: Geom pairs of one kind that engine `jax` examines, likewise; the nearest by bounding
