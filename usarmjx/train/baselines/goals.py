@@ -1,4 +1,4 @@
-"""Planners that choose goals of `explore-v3`: frontiers, and the way home with what the base wants."""
+"""Planners of teams that choose goals: frontiers, and the way home with what the base wants."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,15 +10,15 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.mapping.way_driving import frontier_action
-from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_features import GOALS, chosen_goal
+from usarmjx.train.tasks.goal_team import GoalTeam
 
 Chooser = Callable[[jax.Array, float], jax.Array]
 """From observations (..., n) and the side of a map's squares [m] to goals (...,)."""
 
 
 def goal_planner(env: Env, *, report: bool) -> Policy:
-    """Return a planner for an environment of `explore-v3`; its carry is empty.
+    """Return a planner for an environment of a `GoalTeam`; its carry is empty.
 
     Args:
         env: The environment.
@@ -54,8 +54,8 @@ def policy_of_choices(env: Env, choose: Chooser) -> Policy:
     return Policy(initial_carry=lambda worlds: (), act=act)
 
 
-def _task_of(env: Env) -> ExploreBase:
-    if not isinstance(env.task, ExploreBase):
+def _task_of(env: Env) -> GoalTeam:
+    if not isinstance(env.task, GoalTeam):
         raise UsageError(f"this planner chooses goals as explore-v3 has them, not as {env.name} does")
     return env.task
 

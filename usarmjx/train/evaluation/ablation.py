@@ -23,8 +23,8 @@ from usarmjx.train.evaluation.yardsticks import TeamResult, find_team, play_team
 from usarmjx.train.make import build_env
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.tasks import goal_features
-from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_features import FIRST_GOAL, FIRST_MASK, FIRST_MATE, GOAL_NUMBERS, GOALS
+from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.team import LOCAL_MAP_WIDTH, PERFECT_RADIO, TeamTask
 
 WAYPOINT, ADVICE, MATE_SIZE = 2, 5, 4
@@ -142,7 +142,7 @@ def ablations_of(task: TeamTask) -> Ablations:
     Raises:
         UsageError: The task has goals, but its robots do not choose them.
     """
-    if not isinstance(task, ExploreBase):
+    if not isinstance(task, GoalTeam):
         return ABLATIONS
     if not task.discrete:
         raise UsageError(

@@ -2,20 +2,22 @@
 
 The numbers, in the robot's axes (x ahead, y to the left):
 - the share of the time that is left, and the time left (1: 100 s); how far the robot has come lately (1:
-  0.5 m); whether it has a link to the base, and the time since its news last came there (1: 60 s); free
-  squares on its map that the base may not have (1: 1000), and all of them (1: 5000); how many of the others
-  it has heard of lately (1: 16);
+  0.5 m); whether it has a link to the base, and the time since its news last came there (1: 60 s); news
+  on its map that the base may not have (1: 1000 squares), and free squares on it (1: 5000); how many of the
+  others it has heard of lately (1: 16);
 - the shortest beam of each of 12 sectors of its scanner, from right to left (1: 4 m);
 - for each of the 4 nearest others that it has heard of lately: whether there is one; where it said to be and
   where it said to go (x, y each; 1: 12 m); the age of that (1: 40 s), whether there is a link now, the time
-  since its news last came to the base (1: 60 s), whether it goes there, and free squares that the robot has
-  seen or heard of since it last had a link to it (1: 1000);
+  since its news last came to the base (1: 60 s), whether it goes there, and news that the robot has
+  seen or heard of since it last had a link to it (1: 1000 squares);
 - for each of 19 goals, the base, two others and 16 frontiers: position (x, y; 1: 12 m), length of the way (1:
   100 squares), share of unknown squares around it, distance from the base (1: 30 m), distance of the nearest
   other, and of the nearest goal of others of lower slots (1: 12 m), how many others are nearer to it (1: 4),
-  whether the robot has been there, and whether it goes there; free squares that are news to the base, or to
-  that robot (1: 1000); and the time left after the way there and on to the base at 0.3 m/s (1: 100 s);
+  whether the robot has been there, and whether it goes there; what is news to the base, or to that robot (1:
+  1000 squares); and the time left after the way there and on to the base at 0.3 m/s (1: 100 s);
 - for each goal, whether it is valid.
+
+News are free squares; a task may count something else as so many squares, see `GoalTeam.news_worth`.
 """
 
 from typing import NamedTuple
@@ -67,7 +69,7 @@ class GoalView(NamedTuple):
         base: Slot of the base.
         time: The time [s] ().
         seconds: Time that is left [s] ().
-        untold: Free squares on each robot's map that each other one may not have (robots, robots).
+        untold: News on each robot's map that each other one may not have [squares] (robots, robots).
     """
 
     base: int

@@ -1,0 +1,580 @@
+"""Common parts of tasks whose robots choose goals and work for a base, to which news have to get."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.sim.actions import Actions
+from usarmjx.sim.scene import Scene
+from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
+from usarmjx.train.envs.presence import Presence
+from usarmjx.train.envs.task import StepResult, TaskView
+from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, update_base_contact
+from usarmjx.train.mapping.goals import WAY_SQUARES, Goals, find_goals, next_on_way, way_to, where_due
+from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, to_robot_frame
+from usarmjx.train.mapping.planning import near_others
+from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH, map_pyramid
+from usarmjx.train.mapping.wavefront import frontier
+from usarmjx.train.mapping.way_driving import frontier_action
+from usarmjx.train.tasks.attrition import drawn_team, remaining_robots
+from usarmjx.train.tasks.equip import base_station, mapping_robot
+from usarmjx.train.tasks.goal_features import (
+    CONTACT_SCALE,
+    FRONTIERS,
+    GOAL_NUMBERS,
+    GOALS,
+    KNOWN_SCALE,
+    MATE_AGE,
+    MATE_NUMBERS,
+    MATES,
+    NEWS_SCALE,
+    OBSERVATION_SIZE,
+    OBSERVED_MATES,
+    OWN_NUMBERS,
+    TEAM_SCALE,
+    TIME_SCALE,
+    GoalView,
+    Mates,
+    chosen_goal,
+    goal_features,
+    heard_of,
+    mate_features,
+    nearest_mates,
+    sector_features,
+)
+from usarmjx.train.tasks.team import (
+    PROGRESS_SCALE,
+    WAYPOINT_SCALE,
+    TeamMemory,
+    TeamTask,
+    coverage,
+    station_slot,
+    true_pose_features,
+)
+
+TRUTH_WIDTH = 16
+"""Squares along a side of the maps that critics see."""
+RECENT_REPORT = 1.0
+"""A robot whose beliefs had come to the base so short a time ago has nothing new for it [s]."""
+
+
+class GoalState(struct.PyTreeNode, kw_only=True):
+    """Memory of reports and goals.
+
+    Attributes:
+        achieved: The task's own: what its score counts.
+        reported: News on each robot's map when the base last had all of it (robots,).
+        shared: News on each robot's map when it last had a link to each other one (robots, robots).
+        goals: Goals of each robot as of the last choice (robots, goals, ...).
+        chosen: Which of them it chose (robots,).
+        way: Next positions on the way there [m] (robots, WAY_SQUARES, 2).
+        looked: Squares that each robot has looked at, if the task wants that (robots, i, j); else empty.
+        sent: Squares of news on each robot's map when the base last had all of it, if pictures show them
+            (robots, i, j); else empty.
+        picture: Pictures of the robots' maps as of the last choice (robots, LEVELS, WIDTH, WIDTH, channels);
+            else empty.
+    """
+
+    achieved: Any
+    reported: jax.Array
+    shared: jax.Array
+    goals: Goals
+    chosen: jax.Array
+    way: jax.Array
+    looked: jax.Array | tuple[()] = ()
+    sent: jax.Array | tuple[()] = ()
+    picture: jax.Array | tuple[()] = ()
+
+
+class KnownMaps(struct.PyTreeNode, kw_only=True):
+    """Facts that goals and ways of robots depend on.
+
+    Attributes:
+        squares: Their maps (robots, i, j).
+        reachable: Squares that robots get to, for an oracle (i, j).
+        targets: Squares that are worth the way, for an oracle (i, j); else those that are `pending`
+            (robots, i, j).
+        pose: Their poses (robots, 3).
+        headers: Headers that they received, see `Belief` (robots, robots, HEADER_SIZE).
+        age: Age of these [s] (robots, robots).
+        mates: The others that are goals (robots, MATES).
+    """
+
+    squares: jax.Array
+    reachable: jax.Array
+    targets: jax.Array
+    pose: jax.Array
+    headers: jax.Array
+    age: jax.Array
+    mates: Mates
+
+
+class Progress(NamedTuple):
+    """Gain of a step, contacts apart.
+
+    Attributes:
+        achieved: The task's own memory after it.
+        points: Points of the score ().
+        reward: Whose they are, by slot (robots,).
+        metrics: The task's own.
+    """
+
+    achieved: Any
+    points: jax.Array
+    reward: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoalTeam(TeamTask):
+    """A team that chooses goals, and a base that merges the maps that it receives.
+
+    A base station stands at the first start pose. It takes part in the mail: it sends its map, and draws into
+    it what it receives. Robots that meet copy each other's maps; so news come to the base with the robot that
+    has them, over links of others, or with a robot that met their finder.
+
+    Each robot has up to 19 goals: its base, the two nearest robots that it has heard of, and a frontier of
+    each of the 16 nearest blocks of its map of 2.4 m.
+
+    Action `goals`: a number for each goal; the robot takes the valid one with the greatest, every `hold`
+    steps, and one given controller drives it there along the shortest way on its own map. Action `wheels`:
+    speed and turn, as `TeamTask`; the way leads to the goal of the planner that brings news home.
+
+    Observation, in the robot's axes: see `goal_features`. Its size depends neither on the team nor on the
+    building. The last 19 numbers say which goals are valid. With `observed=map` a picture of the robot's
+    whole map at three scales stands before them, see `mapping.pyramid`.
+
+    Robots that touch something pay for their contacts. Besides its part of the points, each robot gets `hint`
+    times 100 times the share of the building that it was the first to see; this is not part of the score.
+
+    Attributes:
+        robot: Class of the robots, or their description.
+        count: Number of robots.
+        actions: Kind of the actions, see above.
+        hold: Steps for which a goal is kept.
+        hint: Reward for squares that a robot explores.
+        observed: Whether robots see their goals only, or also the picture of their map.
+        least_robots: Least number of robots; each world draws its number, up to `count`, at each reset. 0:
+            always `count`.
+        oracle: Let the robots know the building: their ways lead through what they have not seen, and what
+            the score wants is a frontier. A bound, not a method.
+    """
+
+    reports: ClassVar[bool] = True
+    decides: ClassVar[bool] = True
+    news_kind: ClassVar[int] = FREE
+    """Kind of the squares that are news."""
+    news_worth: ClassVar[float] = 1.0
+    """Squares that a square of news counts as, where robots observe how much they have."""
+
+    episode_steps: int = 800
+    haste: float = 0.5
+    robot: str | RobotSpec = "P2AT"
+    count: Annotated[int, AT_LEAST_ONE] = 4
+    actions: Literal["goals", "wheels"] = "goals"
+    hold: Annotated[int, AT_LEAST_ONE] = 8
+    hint: Annotated[float, NOT_NEGATIVE] = 0.1
+    observed: Literal["goals", "map"] = "goals"
+    least_robots: Annotated[int, NOT_NEGATIVE] = 0
+    oracle: bool = False
+
+    def problem(self) -> str:
+        """Return a conflict between settings."""
+        if not self.advice:
+            return "advice is false, but robots of this task see no advice"
+        if self.observed == "map" and not self.discrete:
+            return "observed is map, but with actions=wheels robots see no picture"
+        wrong = self.least_robots > self.count
+        return f"least_robots is {self.least_robots}, but the team has {self.count} robots" if wrong else ""
+
+    @property
+    def robots(self) -> tuple[RobotSpec, ...]:
+        """The base, and the team."""
+        return (base_station(), *(self.member(),) * self.count)
+
+    def member(self) -> RobotSpec:
+        """Return a robot of the team."""
+        return mapping_robot(self.robot)
+
+    @property
+    def discrete(self) -> bool:
+        """Goals are choices."""
+        return self.actions == "goals"
+
+    def action_sizes(self, scene: Scene) -> tuple[int, ...]:
+        """A number for each goal, or speed and turn."""
+        return (GOALS if self.discrete else 2,) * len(self.agent_groups(scene))
+
+    def layout(self, scene: Scene) -> ObservationLayout | None:
+        """As `Task`: the robot, the others, the goals, and perhaps the picture."""
+        del scene
+        if not self.discrete:
+            return None
+        return ObservationLayout(
+            own=OWN_NUMBERS + SECTOR_COUNT,
+            others=(OBSERVED_MATES, MATE_NUMBERS),
+            choices=(GOALS, GOAL_NUMBERS),
+            kinds=(0, *(1,) * MATES, *(2,) * FRONTIERS),
+            picture=Picture(LEVELS, WIDTH, len(CHANNELS)) if self.pictures else NO_PICTURE,
+        )
+
+    @property
+    def pictures(self) -> bool:
+        """Whether robots see pictures of their maps."""
+        return self.observed == "map"
+
+    # Members of the team.
+
+    def team(self, scene: Scene, key: jax.Array) -> jax.Array | None:
+        """Those that the world draws."""
+        if not self.least_robots:
+            return None
+        return drawn_team(scene, self.agents(scene), self.least_robots, key)
+
+    def presence(self, view: TaskView, memory: TeamMemory) -> Presence | None:
+        """Those that the world has drawn."""
+        del memory
+        if not self.least_robots:
+            return None
+        agents, nobody = self.agents(view.scene), np.zeros(view.scene.num_robots, int)
+        return remaining_robots(view, agents, self.least_robots, nobody, self.repeat, 0.0)
+
+    def working(self, view: TaskView, memory: TeamMemory) -> jax.Array | None:
+        """As `TeamTask`: those that are alive."""
+        presence = self.presence(view, memory)
+        return None if presence is None else presence.alive
+
+    # Beliefs of the robots, and their ways.
+
+    def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
+        """Look at the radio."""
+        if view.world.links is None or self.talk == "none":
+            return belief
+        return update_base_contact(belief, view.links.in_range, station_slot(view.scene), view.time)
+
+    def plan(self, view: TaskView, belief: Belief) -> Belief:
+        """Keep goals: they are chosen by `decide`."""
+        del view
+        return belief
+
+    def known(self, view: TaskView, memory: TeamMemory) -> KnownMaps:
+        """Return what goals and ways depend on."""
+        belief = memory.belief
+        return KnownMaps(
+            squares=belief.squares,
+            reachable=memory.reachable,
+            targets=self.targets(view, memory) if self.oracle else self.pending(view, memory),
+            pose=belief.pose,
+            headers=belief.mate_headers,
+            age=view.time - belief.heard_time,
+            mates=nearest_mates(belief, station_slot(view.scene), view.time, MATES),
+        )
+
+    def targets(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the squares that are worth the way to one who knows all (i, j): by default all of them."""
+        del view
+        return memory.reachable
+
+    def pending(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the known squares to which each robot has to go (robots, i, j): by default none."""
+        del view
+        return jnp.zeros_like(memory.belief.visited)
+
+    def ends(self, known: KnownMaps) -> jax.Array:
+        """Return the frontiers of each robot (robots, i, j)."""
+        if self.oracle:
+            return jnp.broadcast_to(known.targets, known.squares.shape)
+        return jax.vmap(frontier)(known.squares)
+
+    def find(self, scene: Scene, known: KnownMaps) -> Goals:
+        """Return the goals of all robots, by slot (robots, GOALS, ...)."""
+        grid, robots, base = self.arena_grid(scene), scene.num_robots, station_slot(scene)
+        mates = known.mates
+        heads = known.headers[np.arange(robots)[:, None], mates.slot]
+        home = jnp.broadcast_to(known.pose[base, :2], (robots, 1, 2))
+        places = jnp.concatenate([home, heads[..., :2]], 1)
+        facts = self.drivable(known), known.pose, self.ends(known), places, _blocked(grid, known)
+
+        def one(
+            squares: jax.Array, pose: jax.Array, ends: jax.Array, places: jax.Array, blocked: jax.Array
+        ) -> Goals:
+            return find_goals(grid, squares, pose, ends, places, blocked=blocked, count=FRONTIERS)
+
+        goals = _of_agents(jax.vmap(one), self.agents(scene), robots, facts)
+        here = jnp.ones((robots, 1), bool)
+        real = jnp.concatenate([here, mates.valid, jnp.repeat(here, FRONTIERS, 1)], 1)
+        # The base is always a goal; without a way there a robot waits.
+        return goals.replace(valid=(goals.valid & real).at[:, 0].set(True))
+
+    def drivable(self, known: KnownMaps) -> jax.Array:
+        """Return the maps that ways lead over; an oracle's is the building (robots, i, j)."""
+        if not self.oracle:
+            return known.squares
+        truth = jnp.where(known.reachable, FREE, WALL).astype(jnp.uint8)
+        return jnp.broadcast_to(truth, known.squares.shape)
+
+    def decide(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> TeamMemory:
+        """Take the robots' choices when these are due, and find ways there."""
+        extra, scene = memory.extra, view.scene
+        due = memory.step % self.hold == 0
+        if self.discrete:
+            wanted = jnp.zeros((scene.num_robots, GOALS))
+            for group, action in zip(self.agent_groups(scene), actions, strict=True):
+                wanted = wanted.at[scene.groups[group].slots].set(action)
+            choice = jnp.where(extra.goals.valid, wanted, -jnp.inf).argmax(-1)
+        else:
+            choice = chosen_goal(
+                self.observations(view, memory)[:, -OBSERVATION_SIZE:], self.cell, report=True
+            )
+        chosen = jnp.where(due, choice, extra.chosen).astype(jnp.int32)
+        goal = _picked(extra.goals.position, chosen)
+        way = where_due(partial(self.ways, scene), due, extra.way, self.known(view, memory), goal)
+        return memory.replace(extra=extra.replace(chosen=chosen, way=way))
+
+    def ways(self, scene: Scene, known: KnownMaps, goal: jax.Array) -> jax.Array:
+        """Return ways to goals (robots, 2), by slot (robots, WAY_SQUARES, 2)."""
+        grid = self.arena_grid(scene)
+
+        def one(squares: jax.Array, pose: jax.Array, goal: jax.Array, blocked: jax.Array) -> jax.Array:
+            return way_to(grid, squares, pose, goal, blocked=blocked)
+
+        facts = self.drivable(known), known.pose, goal, _blocked(grid, known)
+        return _of_agents(jax.vmap(one), self.agents(scene), scene.num_robots, facts)
+
+    def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
+        """As `TeamTask`; wheels turn as the controller wants if actions are goals."""
+        memory = memory.replace(belief=self.followed(memory))
+        if self.discrete:
+            drive = frontier_action(self.controller_input(memory), self.episode_steps)
+            actions = self.per_group(view.scene, drive)
+        return super().act(view, memory, actions)
+
+    def followed(self, memory: TeamMemory) -> Belief:
+        """Return the belief with the next position on each robot's way, and where that leads."""
+        belief, extra = memory.belief, memory.extra
+        waypoint = jax.vmap(next_on_way)(extra.way, belief.pose[:, :2])
+        goal, length = (_picked(x, extra.chosen) for x in (extra.goals.position, extra.goals.length))
+        return belief.replace(waypoint=waypoint, goal=goal, path_length=length)
+
+    def controller_input(self, memory: TeamMemory) -> jax.Array:
+        """Return what the controller of ways looks at, in the order of `TeamTask` (robots, n)."""
+        belief = memory.belief
+        moved = jnp.linalg.norm(belief.pose[:, :2] - belief.lagged_position, axis=-1)
+        left = jnp.broadcast_to(1 - memory.step / self.episode_steps, moved.shape)
+        rows = [
+            to_robot_frame(belief.pose, belief.waypoint) / WAYPOINT_SCALE,
+            jnp.zeros((len(moved), 3)),
+            jnp.minimum(moved / PROGRESS_SCALE, 1.0)[:, None],
+            sector_features(belief),
+            left[:, None],
+        ]
+        return jnp.concatenate(rows, -1)
+
+    # Evaluation.
+
+    @abstractmethod
+    def nothing(self, view: TaskView, memory: TeamMemory) -> Any:  # noqa: ANN401 - the task's own
+        """Return the task's own memory at the start of an episode, see `GoalState`."""
+
+    @abstractmethod
+    def progress(self, view: TaskView, memory: TeamMemory, worth: jax.Array) -> Progress:
+        """Return what a step has added to the score, contacts apart.
+
+        Args:
+            view: The world after it.
+            memory: The memory, up to date but for score, goals and what is achieved.
+            worth: Share of its points that a find pays now ().
+        """
+
+    def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
+        """Nothing is reported."""
+        memory = super().start(view, key)
+        memory = memory.replace(extra=self.first_state(view, memory))
+        goals = self.find(view.scene, self.known(view, memory))
+        memory = self._noted(view, memory.replace(extra=memory.extra.replace(goals=goals)))
+        if not self.pictures:
+            return memory
+        sent = self._sent(view, memory)
+        picture = self.picture(view.scene, self.known(view, memory), sent)
+        return memory.replace(extra=memory.extra.replace(sent=sent, picture=picture))
+
+    def first_state(self, view: TaskView, memory: TeamMemory) -> GoalState:
+        """Return the memory of reports at the start, without goals."""
+        pose, robots = memory.belief.pose, view.scene.num_robots
+        none = Goals(
+            position=jnp.zeros((robots, GOALS, 2)),
+            length=jnp.zeros((robots, GOALS)),
+            gain=jnp.zeros((robots, GOALS)),
+            valid=jnp.zeros((robots, GOALS), bool),
+        )
+        return GoalState(
+            achieved=self.nothing(view, memory),
+            reported=jnp.zeros(robots),
+            shared=jnp.zeros((robots, robots)),
+            goals=none,
+            chosen=jnp.zeros(robots, jnp.int32),
+            way=jnp.broadcast_to(pose[:, None, :2], (robots, WAY_SQUARES, 2)),
+        )
+
+    def picture(self, scene: Scene, known: KnownMaps, sent: jax.Array) -> jax.Array:
+        """Return the pictures of all robots' maps, by slot (robots, LEVELS, WIDTH, WIDTH, channels)."""
+        grid, robots, base = self.arena_grid(scene), scene.num_robots, station_slot(scene)
+        there = ~np.eye(robots, dtype=bool) & (np.arange(robots) != base)
+        news = (known.squares == self.news_kind) & ~sent
+        facts = known.squares, news, known.pose, known.headers[..., :2], (known.age < MATE_AGE) & there
+        return _of_agents(jax.vmap(partial(map_pyramid, grid)), self.agents(scene), robots, facts)
+
+    def _sent(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the squares of news on each robot's map when the base last had all of it (robots, i, j)."""
+        belief, before = memory.belief, memory.extra.sent
+        news = belief.squares == self.news_kind
+        return jnp.where(
+            self.told(view, belief)[:, None, None], news, False if isinstance(before, tuple) else before
+        )
+
+    def _noted(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
+        """Return the memory with what the base and the others have got to know."""
+        belief, extra = memory.belief, memory.extra
+        news = self.news(belief)
+        reported = jnp.where(self.told(view, belief), news, extra.reported)
+        shared = jnp.where(_linked(view), news[:, None], extra.shared)
+        return memory.replace(extra=extra.replace(reported=reported, shared=shared))
+
+    def told(self, view: TaskView, belief: Belief) -> jax.Array:
+        """Return whether robots have no news for the base, as far as they know (robots,)."""
+        return view.time - belief.base_contact_time < RECENT_REPORT
+
+    def news(self, belief: Belief) -> jax.Array:
+        """Return how much of what the base wants is on each robot's map [squares] (robots,)."""
+        there = (belief.squares == self.news_kind).sum((1, 2)).astype(jnp.float32)
+        return there * self.news_worth
+
+    def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
+        """Progress, and contacts."""
+        steps, scene, before = self.episode_steps, view.scene, memory.extra
+        worth = self.worth((steps - memory.step) / steps)  # this step's number is one more
+        memory, credit, begun = self.advance(view, memory)
+        memory = self._noted(view, memory)
+        found = self.progress(view, memory, worth)
+        memory = memory.replace(extra=memory.extra.replace(achieved=found.achieved))
+        due, known = memory.step % self.hold == 0, self.known(view, memory)
+        goals = where_due(partial(self.find, scene), due, before.goals, known)
+        if self.pictures:
+            sent = self._sent(view, memory)
+            picture = where_due(partial(self.picture, scene), due, before.picture, known, sent)
+            memory = memory.replace(extra=memory.extra.replace(sent=sent, picture=picture))
+        contacts = self.price * begun
+        score = memory.score + found.points - contacts.sum()
+        memory = memory.replace(extra=memory.extra.replace(goals=goals), score=score)
+        reward = found.reward + self.hint * 100.0 * credit - contacts
+        return StepResult(
+            memory=memory,
+            reward=self.per_group(scene, reward),
+            terminated=jnp.zeros((), bool),
+            score=memory.score,
+            metrics={**self.metrics(memory), **found.metrics},
+        )
+
+    # Observations.
+
+    def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """See `goal_features`; with wheels, the way of `TeamTask` before it."""
+        belief, extra, scene = memory.belief, memory.extra, view.scene
+        base, robots = station_slot(scene), scene.num_robots
+        linked = _linked(view)
+        free, news = (belief.squares == FREE).sum((1, 2)).astype(jnp.float32), self.news(belief)
+        left = 1 - memory.step / self.episode_steps
+        seconds = left * self.episode_steps * self.repeat * scene.physics.period
+        moved = jnp.linalg.norm(belief.pose[:, :2] - belief.lagged_position, axis=-1)
+        own = [
+            jnp.broadcast_to(left, (robots,)),
+            jnp.broadcast_to(seconds / TIME_SCALE, (robots,)),
+            jnp.minimum(moved / PROGRESS_SCALE, 1.0),
+            linked[:, base],
+            jnp.minimum((view.time - belief.base_contact_time) / CONTACT_SCALE, 1.0),
+            jnp.maximum(news - extra.reported, 0.0) / NEWS_SCALE,
+            free / KNOWN_SCALE,
+            heard_of(belief, base, view.time).sum(-1) / TEAM_SCALE,
+        ]
+        grid = self.arena_grid(scene)
+        untold = jnp.maximum(news[:, None] - extra.shared, 0.0)
+        untold = untold.at[:, base].set(jnp.maximum(news - extra.reported, 0.0))
+        rows = [
+            jnp.stack([jnp.asarray(one, jnp.float32) for one in own], -1),
+            sector_features(belief),
+            mate_features(belief, base, view.time, linked, untold),
+            goal_features(
+                grid,
+                belief,
+                extra.goals,
+                extra.chosen,
+                GoalView(base, view.time, seconds, untold),
+            ),
+            *([extra.picture.reshape(robots, -1)] if self.pictures else []),
+            extra.goals.valid,
+        ]
+        way = [] if self.discrete else [self.controller_input(memory.replace(belief=self.followed(memory)))]
+        return jnp.concatenate([*way, *rows], -1).astype(jnp.float32)
+
+    def baseline_obs(
+        self, scene: Scene, memory: TeamMemory, obs: tuple[jax.Array, ...]
+    ) -> tuple[jax.Array, ...]:
+        """As `Task`."""
+        del scene, memory
+        return obs
+
+    @abstractmethod
+    def wanted(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the true map of what the score counts, for critics (i, j)."""
+
+    def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """As `TeamTask`, and true maps: the building, what is explored, and what the score counts."""
+        facts = [coverage(memory), memory.step / self.episode_steps, memory.score / 100.0]
+        truth = [memory.reachable, memory.explored, self.wanted(view, memory)]
+        maps = [_coarse(one).ravel() for one in truth]
+        return jnp.concatenate([jnp.stack(facts), *maps, true_pose_features(view)])
+
+
+def _linked(view: TaskView) -> jax.Array:
+    """Return which robots have links (robots, robots)."""
+    robots = view.scene.num_robots
+    return jnp.zeros((robots, robots), bool) if view.world.links is None else jnp.asarray(view.links.in_range)
+
+
+def _picked(values: jax.Array, chosen: jax.Array) -> jax.Array:
+    """Return the chosen row (robots,) of each robot's values (robots, n, ...)."""
+    return values[jnp.arange(len(chosen)), chosen]
+
+
+def _blocked(grid: MapGrid, known: KnownMaps) -> jax.Array:
+    """Return the squares that others take, for each robot (robots, i, j)."""
+    own = jnp.eye(len(known.pose), dtype=bool)
+    return jax.vmap(partial(near_others, grid))(known.headers, jnp.where(own, jnp.inf, known.age))
+
+
+def _of_agents(
+    run: Callable[..., Any],
+    agents: np.ndarray,
+    robots: int,
+    facts: tuple[jax.Array, ...],
+) -> Any:  # noqa: ANN401 - a PyTree
+    """Return what a function computes of the agents' rows, and zeros for the others (robots, ...)."""
+    found = run(*(one[agents] for one in facts))
+    return jax.tree.map(lambda x: jnp.zeros((robots, *x.shape[1:]), x.dtype).at[agents].set(x), found)
+
+
+def _coarse(mask: jax.Array) -> jax.Array:
+    """Return the share of a mask (i, j) in each of `TRUTH_WIDTH` times as many blocks."""
+    sides = [-(-side // TRUTH_WIDTH) for side in mask.shape]
+    missing = [(0, side * TRUTH_WIDTH - length) for side, length in zip(sides, mask.shape, strict=True)]
+    whole = jnp.pad(mask.astype(jnp.float32), missing)  # pyright: ignore[reportUnknownMemberType]
+    return whole.reshape(TRUTH_WIDTH, sides[0], TRUTH_WIDTH, sides[1]).mean((1, 3))
