@@ -48,8 +48,8 @@ RUN_WORDS = ("baseline", "packaged", "random", "by-hand", "shipped")
 """Policies of `usarmjx suite run` and of sweeps that each task has one of."""
 TEAM_WORDS = ("random", "one", "baseline", "perfect-radio", "packaged")
 """Teams of `usarmjx teams` that are no policies."""
-GOAL_TEAM_WORDS = ("frontier", "rendezvous", "oracle")
-"""Further ones of `explore-v3`."""
+GOAL_TEAM_WORDS = ("frontier", "courier", "rendezvous", "oracle")
+"""Further ones of tasks whose robots choose goals."""
 
 
 @cache

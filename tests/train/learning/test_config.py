@@ -15,6 +15,7 @@ from usarmjx.engines import ENGINES, choose_engine, engine_class
 from usarmjx.train.learning.config import (
     DEFAULT_ENGINE,
     DEFAULT_PHYSICS,
+    GOAL_TASKS,
     GPU_SETTINGS,
     HYPERPARAMETERS,
     Config,
@@ -204,7 +205,7 @@ def test_new_settings_see_to_the_end_of_an_episode(task):
     config, steps = task_config(task), TASKS.get(task).episode_steps
     if TASKS.get(task) in {TASKS.get(short) for short in ("explore-v1", "victim-search-v1", "explore-v2")}:
         assert config.gamma**steps < 0.01
-    elif task in ("explore-v3", "relay-chain", "victim-search-v2"):
+    elif task in (*GOAL_TASKS, "relay-chain", "victim-search-v2"):
         assert (config.gamma, config.gae_lambda) == (0.99, 0.95)
     else:
         assert config.gamma**steps == pytest.approx(math.exp(-1), rel=0.01)

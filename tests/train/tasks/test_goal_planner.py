@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usarmjx.train.baselines.meetings import has_courier, meeting_goal
+from usarmjx.train.baselines.meetings import courier_goal, has_courier, meeting_goal
 from usarmjx.train.evaluation.yardsticks import measure_teams
 from usarmjx.train.tasks.goal_features import (
     FIRST_GOAL,
@@ -89,11 +89,11 @@ def test_one_robot_carries_what_another_knows():
     mate = seen[FIRST_MATE : FIRST_MATE + MATE_NUMBERS]
     mate[:3], mate[8], mate[9] = (1.0, 3.0 / 12.0, 0.0), 1.0, 0.01  # 3 m from the base; 10 squares untold
     assert has_courier(seen)
-    assert meeting_goal(seen, CELL) == 5
+    assert meeting_goal(seen, CELL) == courier_goal(seen, CELL) == 5
     for place, value in ((0, 0.0), (1, -1.0 / 12.0), (8, 0.0), (9, 0.2)):  # none, farther, elsewhere, untold
         kept, mate[place] = mate[place], value
         assert not has_courier(seen)
-        assert meeting_goal(seen, CELL) == 0
+        assert meeting_goal(seen, CELL) == courier_goal(seen, CELL) == 0
         mate[place] = kept
 
 

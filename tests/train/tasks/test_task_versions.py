@@ -18,6 +18,7 @@ from usarmjx.train.envs import env
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import TaskState
 from usarmjx.train.envs.task import StepResult
+from usarmjx.train.learning.config import GOAL_TASKS
 from usarmjx.train.learning.ppo import advantages
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.maps import WALL
@@ -296,6 +297,6 @@ def test_a_value_stands_in_for_what_follows_only_where_something_does(time_limit
 def test_tasks_over_a_number_of_steps_say_so():
     ends = {name for name, task in TASKS if task.time_limit == "end"}
     versions = {f"{name}{version}" for name in LIBRARIES for version in ("", "-v1", "-v2")}
-    assert ends == {*versions, "explore-v3", "relay-chain", "soccer"}
+    assert ends == {*versions, *GOAL_TASKS, "relay-chain", "soccer"}
     with pytest.raises(UsageError, match="time_limit is 'never', expected one of end, truncation"):
         Env(replace(TASKS.get("wander"), time_limit="never"), 1)

@@ -13,7 +13,7 @@ from usarmjx.train.baselines.frontier import frontier_policy, relay_policy
 from usarmjx.train.baselines.goal import BugCarry, bug_action, bug_policy, initial_bug_carry
 from usarmjx.train.baselines.goals import reporting_policy, silent_policy
 from usarmjx.train.baselines.hover import inspection_policy
-from usarmjx.train.baselines.meetings import rendezvous_policy
+from usarmjx.train.baselines.meetings import courier_policy, rendezvous_policy
 from usarmjx.train.baselines.pursuit import pursuit_policy
 from usarmjx.train.baselines.roam import roam_policy
 from usarmjx.train.baselines.soccer import soccer_policy
@@ -26,6 +26,7 @@ __all__ = [
     "bug_action",
     "bug_policy",
     "climb_policy",
+    "courier_policy",
     "frontier_policy",
     "initial_bug_carry",
     "inspection_policy",
@@ -46,6 +47,7 @@ for version in ("", "-v1", "-v2"):
     BASELINES.add(f"explore{version}", frontier_policy)
     BASELINES.add(f"victim-search{version}", frontier_policy)
 BASELINES.add("explore-v3", reporting_policy)
+BASELINES.add("victim-search-v3", courier_policy)
 BASELINES.add("relay-chain", relay_policy)
 BASELINES.add("convoy", pursuit_policy)
 BASELINES.add("stairs", climb_policy)

@@ -1,6 +1,6 @@
-"""A planner with scheduled meetings: robots of `explore-v3` explore, and are at their base at agreed times.
+"""Planners that divide the way home: one robot carries what others know, and robots meet at agreed times.
 
-Between meetings news pile up; a robot whose news another one carries home, from nearer by, explores on.
+A robot whose news another one carries home, from nearer by, explores on.
 """
 
 import jax
@@ -31,6 +31,17 @@ MEETINGS = (0.5, 1.0)
 """Shares of an episode after which robots are to be at their base."""
 EARLIER, LATER = 10.0, 20.0
 """Time to spare, and time after a meeting, with which a robot that goes to its base goes on [s]."""
+
+
+def courier_goal(seen: Array, square: float) -> jax.Array:
+    """Return the goals of robots as `chosen_goal` reports, but that one carries what others know (...,).
+
+    Args:
+        seen: Observations (..., n).
+        square: Side of a map's squares [m].
+    """
+    alone, together = (chosen_goal(seen, square, report=report) for report in (True, False))
+    return jnp.where(has_courier(seen), together, alone)
 
 
 def meeting_goal(seen: Array, square: float) -> jax.Array:
@@ -71,8 +82,17 @@ def has_courier(seen: Array) -> jax.Array:
     return ((mates[..., 0] > 0.5) & going & knows & nearer).any(-1)
 
 
+def courier_policy(env: Env) -> Policy:
+    """Return the planner of couriers for an environment of a `GoalTeam`; its carry is empty.
+
+    Raises:
+        UsageError: Another task, or one whose actions are speeds.
+    """
+    return policy_of_choices(env, courier_goal)
+
+
 def rendezvous_policy(env: Env) -> Policy:
-    """Return the planner for an environment of `explore-v3`; its carry is empty.
+    """Return the planner with meetings for an environment of a `GoalTeam`; its carry is empty.
 
     Raises:
         UsageError: Another task, or one whose actions are speeds.

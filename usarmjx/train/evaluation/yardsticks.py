@@ -26,7 +26,7 @@ from usarmjx.base.markdown import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.baselines.goals import reporting_policy, silent_policy
-from usarmjx.train.baselines.meetings import rendezvous_policy
+from usarmjx.train.baselines.meetings import courier_policy, rendezvous_policy
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -43,7 +43,7 @@ from usarmjx.train.policies.sources import (
     usual_split,
 )
 from usarmjx.train.tasks import TASKS
-from usarmjx.train.tasks.explore_base import ExploreBase
+from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 from usarmjx.train.tasks.victim_search import VictimSearch
 
@@ -81,7 +81,7 @@ def alone(task: TeamTask) -> TeamTask:
     """Return a task with its first robot only; a base stays."""
     if isinstance(task, VictimSearch):
         return replace(task, wheeled=task.wheeled[:1], tracked=(), flying=())
-    if isinstance(task, ExploreBase):
+    if isinstance(task, GoalTeam):
         task = replace(task, least_robots=0)
     return replace(task, count=1)
 
@@ -100,7 +100,7 @@ def packaged_policy(env: Env) -> Policy:
 
 def packaged_name(task: str) -> str:
     """Return the name of the packaged policy for a task, or for another version of it."""
-    if task in POLICIES or (task in TASKS and isinstance(TASKS.get(task), ExploreBase)):
+    if task in POLICIES or (task in TASKS and isinstance(TASKS.get(task), GoalTeam)):
         return task  # no other version observes and acts alike
     return re.sub(r"-v\d+$", "", task)
 
@@ -136,8 +136,8 @@ def knowing(task: TeamTask) -> TeamTask:
     Raises:
         UsageError: A task whose robots cannot.
     """
-    if not isinstance(task, ExploreBase):
-        raise UsageError("only explore-v3 has an oracle")
+    if not isinstance(task, GoalTeam):
+        raise UsageError("only tasks whose robots choose goals have an oracle")
     return replace(task, radio=PERFECT_RADIO, oracle=True)
 
 
@@ -164,11 +164,12 @@ TEAMS: dict[str, Team] = {
 
 GOAL_TEAMS: dict[str, Team] = {
     "frontier": (unchanged, silent_policy),
+    "courier": (unchanged, courier_policy),
     "rendezvous": (unchanged, rendezvous_policy),
     "oracle": (knowing, reporting_policy),
 }
-"""Further ones for `explore-v3`: robots that never go home, that meet there at agreed times, and that know
-the building and hear all."""
+"""Further ones for teams that choose goals: robots that never go home, that meet there at agreed times, and
+that know the building and hear all."""
 
 
 def named_team(name: str) -> Team | None:
@@ -178,7 +179,7 @@ def named_team(name: str) -> Team | None:
 
 def default_teams(task: str) -> tuple[str, ...]:
     """Return the names of `TEAMS` that can play a task: no policy is packaged for some."""
-    chooses = task in TASKS and isinstance(TASKS.get(task), ExploreBase)
+    chooses = task in TASKS and isinstance(TASKS.get(task), GoalTeam)
     usual = tuple(name for name in TEAMS if name != "packaged" or packaged_name(task) in POLICIES)
     return usual + tuple(GOAL_TEAMS) * chooses
 

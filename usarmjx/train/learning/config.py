@@ -31,6 +31,14 @@ SMALL_SETTINGS: dict[str, Any] = {
     "total_steps": 900_000,
 }
 """Settings of runs of `hover-inspect` on two cores; `convoy` and `stairs` only imitate with them."""
+GOAL_TASKS = ("explore-v3", "victim-search-v3")
+"""Tasks whose robots choose goals."""
+GOAL_SETTINGS: dict[str, Any] = {
+    **{"gamma": 0.99, "gae_lambda": 0.95, "action_repeat": 8, "rollout_length": 25},
+    **{"entropy_coef": 0.01, "network": "set"},
+    **{"hidden_sizes": (128, 128, 128), "critic_hidden_sizes": (128, 128)},
+    **{"imitation_steps": 1_000_000, "total_steps": 20_000_000},
+}
 SHORT_HORIZON = {"gamma": 0.97, "gae_lambda": 0.9}
 # Settings of each task, as far as they differ from `Config`. Keys are task names in lower case.
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
@@ -41,12 +49,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
         for old in ("", "-v1")
     },
     "explore-v2": {**MAZE_SETTINGS, **SHORT_HORIZON, "imitation_steps": 5_000_000, "total_steps": 24_000_000},
-    "explore-v3": {
-        **{"gamma": 0.99, "gae_lambda": 0.95, "action_repeat": 8, "rollout_length": 25},
-        **{"entropy_coef": 0.01, "network": "set"},
-        **{"hidden_sizes": (128, 128, 128), "critic_hidden_sizes": (128, 128)},
-        **{"imitation_steps": 1_000_000, "total_steps": 20_000_000},
-    },
+    **dict.fromkeys(GOAL_TASKS, GOAL_SETTINGS),
     "victim-search-v2": {
         **MAZE_SETTINGS,
         **{"gamma": 0.99, "gae_lambda": 0.95, "gru_size": 64},
@@ -77,13 +80,13 @@ GPU_SETTINGS: dict[str, dict[str, Any]] = {
         f"victim-search{version}": {"num_worlds": 1024, "num_minibatches": 16}
         for version in ("", "-v1", "-v2")
     },
+    **{task: {"num_worlds": 1024, "num_minibatches": 16} for task in GOAL_TASKS},
     **{
         task: {"num_worlds": 2048, "num_minibatches": 16}
         for task in HYPERPARAMETERS
-        if task not in ("drive-to-goal", "explore-v3") and not task.startswith("victim-search")
+        if task not in ("drive-to-goal", *GOAL_TASKS) and not task.startswith("victim-search")
     },
 }
-GPU_SETTINGS["explore-v3"] = {"num_worlds": 1024, "num_minibatches": 16}
 for task in ("hover-inspect", "wander"):
     GPU_SETTINGS[task] |= {"total_steps": 10_000_000, "imitation_steps": 1_000_000, "learning_rate": 3e-4}
 GPU_SETTINGS["stairs"] |= {"total_steps": 1_000_000, "imitation_steps": 1_000_000}
@@ -94,8 +97,9 @@ GPU_SETTINGS[
 DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
     (
         "drive-to-goal",
-        *("explore", "explore-v1", "explore-v2", "explore-v3"),
+        *("explore", "explore-v1", "explore-v2"),
         *("victim-search", "victim-search-v1", "victim-search-v2"),
+        *GOAL_TASKS,
         "relay-chain",
         "convoy",
         "hover-inspect",
@@ -106,8 +110,9 @@ DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
 """Engine that `auto` stands for in training, on any machine; scores are those of C MuJoCo."""
 DEFAULT_PHYSICS: dict[str, str] = dict.fromkeys(
     (
-        *("explore", "explore-v1", "explore-v2", "explore-v3"),
+        *("explore", "explore-v1", "explore-v2"),
         *("victim-search", "victim-search-v1", "victim-search-v2"),
+        *GOAL_TASKS,
         "relay-chain",
     ),
     "coarse",

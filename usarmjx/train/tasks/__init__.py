@@ -1,6 +1,7 @@
 """The tasks, one module each; importing this registers them.
 
-`drive_to_goal` is the smallest. `team` is the base of `explore`, `victim_search` and `relay_chain`; soccer is
+`drive_to_goal` is the smallest. `team` is the base of `explore`, `victim_search` and `relay_chain`,
+`goal_team` of their third versions; soccer is
 in four modules: field, belief, play by hand, task. A task is a frozen dataclass: its fields are what `make`
 and `--set` override, so their names stay. What it observes, rewards and scores stands in its docstring and in
 docs/tasks.md; figures there hold for exactly these functions.
@@ -14,8 +15,10 @@ from usarmjx.train.tasks.convoy import Convoy
 from usarmjx.train.tasks.drive_to_goal import DriveToGoal
 from usarmjx.train.tasks.explore import Explore
 from usarmjx.train.tasks.explore_base import ExploreBase
+from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.hover_inspect import HoverInspect
 from usarmjx.train.tasks.relay_chain import RelayChain
+from usarmjx.train.tasks.search_base import SearchBase
 from usarmjx.train.tasks.soccer import Soccer
 from usarmjx.train.tasks.stairs import Stairs
 from usarmjx.train.tasks.team import TeamTask, range_lines
@@ -29,8 +32,10 @@ __all__ = [
     "DriveToGoal",
     "Explore",
     "ExploreBase",
+    "GoalTeam",
     "HoverInspect",
     "RelayChain",
+    "SearchBase",
     "Soccer",
     "Stairs",
     "TeamTask",
@@ -43,6 +48,9 @@ BUILDINGS_V2 = Buildings(sizes=((16, 12), (20, 14), (24, 16)), together=True, re
 SEARCHED_V2 = replace(BUILDINGS_V2, victims=6, reachable=1.0, near_victims=1)
 
 BUILDINGS_V3 = Buildings(sizes=((12, 10), (20, 16), (32, 24)), together=True, renewable=True, spacing=2.4)
+SEARCHED_V3 = replace(
+    BUILDINGS_V3, sizes=((12, 10), (16, 14), (24, 18)), victims=8, reachable=1.0, near_victims=1
+)
 
 TASKS.add("explore-v1", Explore())
 TASKS.add("explore-v2", Explore(arena=BUILDINGS_V2, episode_steps=400, haste=0.25))
@@ -59,6 +67,7 @@ TASKS.add(
         seek_home=True,
     ),
 )
+TASKS.add("victim-search-v3", SearchBase(arena=SEARCHED_V3))
 # The versions that the packaged policies are for; with policies for version 2 these lines change.
 TASKS.add("explore", TASKS.get("explore-v1"))
 TASKS.add("victim-search", TASKS.get("victim-search-v1"))

@@ -20,12 +20,14 @@ HOKUYO = options(
     MaxRange=4.0, MinRange=0.02, Resolution=3 * 0.0184087, ScanFov=4.189, ScanInterval=0.2, Noise=0.01
 )
 """Every third beam of the Hokuyo URG-04LX of the UDK version's ini: 76 beams over 240 degrees, 4 m."""
+VICTIM_FOV = 1.4
+"""Horizontal angle of victim sensors [rad]."""
 VICTIM_SENSOR = options(
-    HorizontalFov=1.4, HorizontalStep=0.4667, VerticalFov=0.4667, VerticalStep=0.4667, ScanInterval=0.4
+    HorizontalFov=VICTIM_FOV, HorizontalStep=0.4667, VerticalFov=0.4667, VerticalStep=0.4667, ScanInterval=0.4
 )
 """A victim sensor of 21 rays instead of 441, over 80 by 27 degrees."""
 VICTIM_SENSOR_DOWN = options(
-    HorizontalFov=1.4, HorizontalStep=0.4667, VerticalFov=1.4, VerticalStep=0.4667, ScanInterval=0.4
+    HorizontalFov=VICTIM_FOV, HorizontalStep=0.4667, VerticalFov=1.4, VerticalStep=0.4667, ScanInterval=0.4
 )
 """The same for robots that fly, which look down: 49 rays over 80 by 80 degrees."""
 DOWN_SENSOR_POSITION: Vec3 = (0.0, 0.0, 0.06)

@@ -81,6 +81,22 @@ def mark_squares(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
     return jnp.zeros(grid.shape, bool).at[there[:, 0], there[:, 1]].max(met[:, 0] > 0)
 
 
+def mark_victims(view: TaskView, grid: MapGrid, belief: Belief) -> Belief:
+    """Return the belief with marks where the robots' victim sensors met something."""
+    for g, group in enumerate(view.scene.groups):
+        if group.robot.name == BASE_STATION:
+            continue
+        marked = jax.vmap(partial(mark_squares, grid))(belief.pose[group.slots], detected_positions(view, g))
+        marked &= view.is_fresh(g, "VictSensor")[:, None, None]
+        belief = belief.replace(marks=belief.marks.at[group.slots].max(marked))
+    return belief
+
+
+def victims_there(view: TaskView) -> jax.Array:
+    """Return which victims of its table a world has (victims,)."""
+    return jnp.asarray(view.victims.at)[:, 0] < ABSENT_VICTIM_DISTANCE
+
+
 def fence_of(extent: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return lowest and highest x and y [m] (2,) within the fence of an arena's extent (2, low or high)."""
     return extent[:, 0] + FENCE_MARGIN, extent[:, 1] - FENCE_MARGIN
@@ -281,14 +297,7 @@ class VictimSearch(TeamTask):
         """Mark what victim sensors met and what flying robots have swept, and look at the radio."""
         grid, scene = self.arena_grid(view.scene), view.scene
         before = (belief.squares == MARK).sum((1, 2))
-        for g, group in enumerate(scene.groups):
-            if group.robot.name == BASE_STATION:
-                continue
-            marked = jax.vmap(partial(mark_squares, grid))(
-                belief.pose[group.slots], detected_positions(view, g)
-            )
-            marked &= view.is_fresh(g, "VictSensor")[:, None, None]
-            belief = belief.replace(marks=belief.marks.at[group.slots].max(marked))
+        belief = mark_victims(view, grid, belief)
         gap = grid.gaps(belief.pose[:, :2])
         swept = self.planner_settings(scene).flyers[:, None, None] & (gap < SWEEP_RADIUS)
         swept &= belief.evidence <= 0  # not beyond the fence
@@ -371,7 +380,7 @@ class VictimSearch(TeamTask):
         left = (steps - memory.step) / steps  # this step's number is one more
         memory, credit, begun = self.advance(view, memory)
         found = self._found(view, memory)
-        people = jnp.asarray(view.victims.at)[:, 0] < ABSENT_VICTIM_DISTANCE
+        people = victims_there(view)
         share = (found.reported & people).sum() - (before.reported & people).sum()
         share = share / jnp.maximum(people.sum(), 1)
         squares = jnp.maximum(memory.reachable.sum(), 1)
@@ -455,7 +464,7 @@ class VictimSearch(TeamTask):
 
     def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and shares of what is reported and mapped, and who reaches the base."""
-        found, people = memory.extra, jnp.asarray(view.victims.at)[:, 0] < ABSENT_VICTIM_DISTANCE
+        found, people = memory.extra, victims_there(view)
         reported = (found.reported & people).sum() / jnp.maximum(people.sum(), 1)
         mapped = found.mapped.sum() / jnp.maximum(memory.reachable.sum(), 1)
         more = jnp.concatenate([jnp.stack([reported, mapped]), found.linked])
