@@ -98,8 +98,8 @@ def settings_words(record: BenchRecord) -> str:
 
 
 def _settings_records(records: Sequence[BenchRecord]) -> list[BenchRecord]:
-    """Return the records of settings, not of engines."""
-    return [one for one in of(records, "physics") if one.data["case"].get("engine", "c") == "c"]
+    """Return the records of settings, not of engines; those of the first form are all of settings."""
+    return [one for one in of(records, "physics") if one.data.get("case", {}).get("engine", "c") == "c"]
 
 
 def physics_table(records: Sequence[BenchRecord]) -> str:
