@@ -284,6 +284,13 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "ObjectSensor": _SCANNER_FIELDS,
     "Kinect": (*_SCANNER_3D_FIELDS[:-1], ("Fov", "fov")),
+    "PCL": (
+        ("MaxRange", "max_range"),
+        ("NumberOfBeams", "number_of_beams"),
+        ("HFieldOfView", "h_field_of_view"),
+        ("VFieldOfView", "v_field_of_view"),
+        ("SpinRate", "spin_rate"),
+    ),
     "Touch": (("Diameter", "diameter"),),
     **victims.CONFIGURATION,
 }
