@@ -60,7 +60,7 @@ class StillWorld(ServedWorld):
     def battery(self, robot):
         return robot.spec.battery_life
 
-    def state(self, robot):
+    def state(self, robot, physics=None):
         zero, joints = np.zeros(3), np.zeros(len(robot.plan.parts) - 1)
         return RobotState(
             pos=zero, quat=np.eye(4)[0], linear=zero, angular=zero, joint_pos=joints, joint_vel=joints

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
-import numpy as np
-
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.registry import is_name
 
@@ -341,6 +339,8 @@ def four_decimals_list(values: Iterable[float]) -> str:
     if len(numbers) < _MANY:
         cut = [signed(int(abs(value) * 10_000 + _CUT_MARGIN) / 10_000, value) for value in numbers]
     else:
+        import numpy as np  # the console starts without it
+
         array = np.array(numbers, np.float64)
         whole = np.trunc(np.abs(array) * 10_000 + _CUT_MARGIN)
         cut = np.copysign(whole / 10_000, array).tolist()
