@@ -168,3 +168,21 @@ def test_robots_together_see_what_each_sees(incidence, blind):
         np.testing.assert_array_equal(together.distance[robot, aimed], alone.distance)
         np.testing.assert_allclose(together.cosine[robot, aimed], alone.cosine, rtol=0, atol=1e-6)
     assert (together.cosine > 0).any() == incidence
+
+
+def test_geoms_that_object_sensors_meet_are_kept_at_every_cast():
+    """Also where several robots look at once, after a geom has moved."""
+    model, data = scene(3)
+    caster = CRayCaster(model, data, [MATERIALS[group] for group in model.geom_group], {})
+    start, along = bundles(5)
+    query = RayQuery(max_distance=REACH, kept_as="Finder")
+    kept = []
+    for _ in range(2):
+        caster.of_robots(start, along, query.replace(exclude_owner=np.arange(ROBOTS)))
+        kept.append([caster.met[robot, "Finder"] for robot in range(ROBOTS)])
+        for robot, geoms in enumerate(kept[-1]):
+            alone = query.replace(exclude_owner=np.int32(robot))
+            distance, _, geom = caster.hit_geoms(start[robot], along[robot], alone, np.zeros(0, int))
+            np.testing.assert_array_equal(geoms, np.where(distance <= REACH, geom, -1))
+        data.geom_xpos[:] += 0.5
+    assert (np.concatenate(kept[0]) != np.concatenate(kept[1])).any()

@@ -109,7 +109,7 @@ class CRayCaster:
         slots, aimed = np.asarray(query.exclude_owner), (np.asarray(direction) != 0.0).any(-1)
         distance, cosine = np.full(aimed.shape, np.inf, np.float32), np.zeros(aimed.shape, np.float32)
         left = np.ones(len(slots), bool)
-        if len(slots) > FEW_ROBOTS and aimed.all():
+        if len(slots) > FEW_ROBOTS and aimed.all() and not query.kept_as:  # pairs do not say which geom
             rays = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
             solid = _solid_groups(query.transparent)
             far, facing, is_right = self._pairs.nearest(*rays, slots, solid, query.max_distance)
