@@ -12,12 +12,11 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.parameters import Parameters
-from usarmjx.base.rotations import matvec
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
-from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, TURN
-from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, vectorized
+from usarmjx.sensors.base import SENSORS, SensorInput, SensorSettings, vectorized
 from usarmjx.sensors.ranging import beam_count, beam_count_problem
+from usarmjx.sensors.swept import SweptScanner
 
 MAX_FRAMES = 1000
 """Largest number of strips of a picture."""
@@ -91,7 +90,7 @@ def strip_directions(settings: KinectSettings, frame: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Kinect(Sensor):
+class Kinect(SweptScanner):
     """Depth camera; value: number of a strip, then its distances [m] (1 + points,).
 
     Its memory is the number of the next strip. It measures after a SCAN until its picture is complete.
@@ -100,32 +99,15 @@ class Kinect(Sensor):
     kind = "Kinect"
     opcodes: ClassVar[dict[str, Parameters]] = {"SCAN": Parameters()}
     settings_class = KinectSettings
-    steers_rays = True
-
-    @property
-    def max_distance(self) -> float:
-        """MaxRange [m]."""
-        return self.settings[0].max_range
 
     @property
     def on_command(self) -> bool:
         """True: SCAN begins a picture."""
         return True
 
-    def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
-        """Return the beams of the first strip."""
-        return self.steered_rays(bodies, np.int32(0))
-
-    def steered_rays(self, bodies: BodyPoses, memory: Array | np.int32) -> tuple[Array, Array]:
-        """Return the beams of the next strip."""
-        pos, mat = self.mount_poses(bodies)
-        along = matvec(mat[0], strip_directions(self.settings[0], xp.asarray(memory)))
-        return xp.broadcast_to(pos[0], along.shape), along
-
-    def init_memory(self, inputs: SensorInput, key: Array) -> Array:
-        """Begin with the first strip."""
-        del key
-        return xp.zeros_like(xp.asarray(inputs.clock.step, xp.int32))
+    def directions(self, part: Array) -> Array:
+        """Return the beams of a strip, in the mount's axes."""
+        return strip_directions(self.settings[0], part)
 
     @vectorized
     def read(self, inputs: SensorInput, memory: Array, key: Array) -> tuple[Array, Array]:

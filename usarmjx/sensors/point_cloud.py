@@ -10,12 +10,11 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.base.rotations import matvec
 from usarmjx.base.settings import POSITIVE, Setting
-from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.settings import HALF_TURN, TURN
-from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, vectorized
+from usarmjx.sensors.base import SENSORS, SensorInput, SensorSettings, vectorized
 from usarmjx.sensors.ranging import MAX_BEAMS
+from usarmjx.sensors.swept import SweptScanner
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def row_directions(settings: PointCloudSettings, row: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class PointCloud(Sensor):
+class PointCloud(SweptScanner):
     """Scanner whose plane is pitched; value: points of a row in its own axes [m] (beams, 3).
 
     Its memory is the number of the next row. A beam that meets nothing ends at MaxRange.
@@ -70,27 +69,10 @@ class PointCloud(Sensor):
 
     kind = "PCL"
     settings_class = PointCloudSettings
-    steers_rays = True
 
-    @property
-    def max_distance(self) -> float:
-        """MaxRange [m]."""
-        return self.settings[0].max_range
-
-    def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
-        """Return the beams of the first row."""
-        return self.steered_rays(bodies, np.int32(0))
-
-    def steered_rays(self, bodies: BodyPoses, memory: Array | np.int32) -> tuple[Array, Array]:
-        """Return the beams of the next row."""
-        pos, mat = self.mount_poses(bodies)
-        along = matvec(mat[0], row_directions(self.settings[0], xp.asarray(memory)))
-        return xp.broadcast_to(pos[0], along.shape), along
-
-    def init_memory(self, inputs: SensorInput, key: Array) -> Array:
-        """Begin with the lowest row."""
-        del key
-        return xp.zeros_like(xp.asarray(inputs.clock.step, xp.int32))
+    def directions(self, part: Array) -> Array:
+        """Return the beams of a row, in the mount's axes."""
+        return row_directions(self.settings[0], part)
 
     @vectorized
     def read(self, inputs: SensorInput, memory: Array, key: Array) -> tuple[Array, Array]:
