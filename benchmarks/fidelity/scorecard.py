@@ -32,7 +32,7 @@ def _drive(name: str, conditions: Conditions, engine: str) -> dict[str, float]:
 def measure_cards(
     settings: Sequence[Conditions], names: Iterable[str], jobs: int = 1, engine: str = "c"
 ) -> list[Card]:
-    """Return the cards of several conditions, of what an engine can do, by so many processes at once."""
+    """Return the manoeuvre cards of several conditions, driven by `jobs` processes at once."""
     classes = list(names)
     work = [(name, conditions, engine) for conditions in settings for name in classes]
     if jobs == 1:

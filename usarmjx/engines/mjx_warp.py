@@ -275,7 +275,7 @@ class WarpEngine(MjxEngine):
 
     Attributes:
         solver: Name of the constraint solver; not that of the settings where `uncovered` is set.
-        uncovered: What the scene has that solver `block` does not cover: MuJoCo Warp's Newton solves it.
+        uncovered: Feature of the scene for which solver `block` falls back to MuJoCo Warp's Newton; or None.
     """
 
     name = "warp"

@@ -73,7 +73,7 @@ POSES = jnp.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.5], [6.0, 1.0, 2.0], [4.0, 4.0,
 
 
 def observed_goals(untold, heard):
-    """What the robots observe, of those that they have heard of (robots, robots) only."""
+    """Return the robots' observations if they have heard of these others (robots, robots)."""
     belief = initial_belief(GRID, POSES)
     belief = belief.replace(heard_time=jnp.where(heard, 0.0, -jnp.inf))
     mates = heard[:, [2, 3]] & ~jnp.eye(4, dtype=bool)[:, [2, 3]]

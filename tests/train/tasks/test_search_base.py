@@ -1,4 +1,4 @@
-"""Victims that are reported to a base: in a room drawn by hand, with what the sensors would report."""
+"""Reports of victims to a base, in a room with a drawn map and made-up sensor readings."""
 
 from dataclasses import replace
 from types import SimpleNamespace

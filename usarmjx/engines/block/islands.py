@@ -124,21 +124,21 @@ SORT_CODE = """
             count += dim;
             hessians += dim * (dim + 1) / 2;
         }
-        int* const told = p.islands.data + (first_tree + t) * TASK_NUMBERS;
-        told[0] = members;
-        told[1] = size;
-        told[2] = count;
-        told[3] = constraints;
-        told[4] = hessians;
+        int* const numbers = p.islands.data + (first_tree + t) * TASK_NUMBERS;
+        numbers[0] = members;
+        numbers[1] = size;
+        numbers[2] = count;
+        numbers[3] = constraints;
+        numbers[4] = hessians;
     }
     wait();
     for (int t = lane; t < trees; t += lanes) {
-        int* const told = p.islands.data + (first_tree + t) * TASK_NUMBERS;
-        if (root[t] != t || told[3] == 0) continue;
+        int* const numbers = p.islands.data + (first_tree + t) * TASK_NUMBERS;
+        if (root[t] != t || numbers[3] == 0) continue;
         int start = 0;
         for (int k = 0; k < t; ++k)
             if (root[k] == k) start += p.islands.data[(first_tree + k) * TASK_NUMBERS + 3];
-        told[5] = start;
+        numbers[5] = start;
         int* to = p.listed.data + 2 * (first_row + start);
         int before = 0, hessians = 0;
         for (int r = 0; r < rows; ++r) {
@@ -150,7 +150,7 @@ SORT_CODE = """
             before += dim;
             hessians += dim * (dim + 1) / 2;
         }
-        const int need = need_of(told[1], told[2], told[3], told[4]);
+        const int need = need_of(numbers[1], numbers[2], numbers[3], numbers[4]);
         const int size_class = need <= SLOT_0 ? 0 : need <= SLOT_1 ? 1 : need <= SLOT_2 ? 2 : 3;
         const int place = take(p.counts.data + size_class);
         p.tasks.data[(size_t)size_class * worlds * trees + place] = world * trees + t;

@@ -171,12 +171,12 @@ UNIT_CODE = """
 """Native functions of the costs of an island's constraints."""
 
 LOAD_CODE = """
-        const int* const told = p.islands.data + (size_t)task * TASK_NUMBERS;
+        const int* const numbers = p.islands.data + (size_t)task * TASK_NUMBERS;
         const int world = task / trees, tree = task % trees;
-        const int members = told[0], n = told[1], rows = told[2], constraints = told[3], hessians = told[4];
+        const int members = numbers[0], n = numbers[1], rows = numbers[2], constraints = numbers[3], hessians = numbers[4];
         const size_t first_row = (size_t)world * most_rows, first_tree = (size_t)world * trees;
         const size_t first_dof = (size_t)world * dofs, first_weight = (size_t)world * padded_rows;
-        const int* const list = p.listed.data + 2 * (first_row + told[5]);
+        const int* const list = p.listed.data + 2 * (first_row + numbers[5]);
         float* const jac = memory;
         float* const x = jac + rows * n;  // J a - aref
         float* const v = x + rows;  // J search
@@ -389,13 +389,13 @@ NEWTON_CODE = """
         for (int u = lane; u < constraints; u += lanes) {
             const int from = list[2 * u] & (1 << ROW_BITS) - 1, r = begin_of(u), dim = size_of(u);
             const float* const h = hessian + plan[2 * u + 1];
-            int told_state = SATISFIED;
-            if (kind_of(u) == KIND_FRICTION) told_state = f[r] > 0.0f ? LINEAR_NEGATIVE : LINEAR_POSITIVE;
-            if (h[0] != 0.0f) told_state = QUADRATIC;
-            if (kind_of(u) == KIND_CONE && h[0] != 0.0f && h[0] != weight[r]) told_state = SLIDING;
+            int row_state = SATISFIED;
+            if (kind_of(u) == KIND_FRICTION) row_state = f[r] > 0.0f ? LINEAR_NEGATIVE : LINEAR_POSITIVE;
+            if (h[0] != 0.0f) row_state = QUADRATIC;
+            if (kind_of(u) == KIND_CONE && h[0] != 0.0f && h[0] != weight[r]) row_state = SLIDING;
             for (int j = 0; j < dim; ++j) {
                 p.force.data[first_row + from + j] = f[r + j];
-                p.state.data[first_weight + from + j] = told_state;
+                p.state.data[first_weight + from + j] = row_state;
             }
         }
         if (lane == 0) most_of(p.iterations.data + world, iteration);

@@ -17,7 +17,7 @@ The numbers, in the robot's axes (x ahead, y to the left):
   1000 squares); and the time left after the way there and on to the base at 0.3 m/s (1: 100 s);
 - for each goal, whether it is valid.
 
-News are free squares; a task may count something else as so many squares, see `GoalTeam.news_worth`.
+News are counted in free squares; `GoalTeam.news_worth` converts other kinds of news to squares.
 """
 
 from typing import NamedTuple

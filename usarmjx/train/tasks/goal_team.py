@@ -124,7 +124,7 @@ class Progress(NamedTuple):
     Attributes:
         achieved: The task's own memory after it.
         points: Points of the score ().
-        reward: Whose they are, by slot (robots,).
+        reward: Points that each robot gets, by slot (robots,).
         metrics: The task's own.
     """
 

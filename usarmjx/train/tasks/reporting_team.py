@@ -1,4 +1,4 @@
-"""Common parts of tasks whose score counts what the base of a team has been told."""
+"""Common parts of tasks whose score counts reports to the base of a team."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
