@@ -173,7 +173,8 @@ UNIT_CODE = """
 LOAD_CODE = """
         const int* const numbers = p.islands.data + (size_t)task * TASK_NUMBERS;
         const int world = task / trees, tree = task % trees;
-        const int members = numbers[0], n = numbers[1], rows = numbers[2], constraints = numbers[3], hessians = numbers[4];
+        const int members = numbers[0], n = numbers[1], rows = numbers[2];
+        const int constraints = numbers[3], hessians = numbers[4];
         const size_t first_row = (size_t)world * most_rows, first_tree = (size_t)world * trees;
         const size_t first_dof = (size_t)world * dofs, first_weight = (size_t)world * padded_rows;
         const int* const list = p.listed.data + 2 * (first_row + numbers[5]);
