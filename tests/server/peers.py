@@ -6,6 +6,7 @@ import re
 import socket
 import struct
 import threading
+import time
 
 from tests.server.lockstep import LOCKSTEP, lockstep
 from usarmjx.server.gamebots.server import BotServer
@@ -78,6 +79,14 @@ class Peer:
         """Break the connection off instead of closing it."""
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self.socket.close()
+
+
+def wait_until(happens, what="it"):
+    """Wait until something is true; fail, saying what, if it does not come."""
+    deadline = time.monotonic() + PATIENCE
+    while not happens():
+        assert time.monotonic() < deadline, f"waited {PATIENCE} s for {what}"
+        time.sleep(0.005)
 
 
 def say(client, line):

@@ -4,10 +4,9 @@ import contextlib
 import itertools
 import math
 import re
-import time
 
 from tests.scripts import load
-from tests.server.peers import PATIENCE, Peer, serving
+from tests.server.peers import PATIENCE, Peer, serving, wait_until
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
@@ -30,14 +29,6 @@ def crowded(arena, *kinds):
 def client():
     """The bundled client library."""
     return load("usarsim_client")
-
-
-def wait_until(happens, what):
-    """Wait until something is true; fail, saying what, if it does not come."""
-    deadline = time.monotonic() + PATIENCE
-    while not happens():
-        assert time.monotonic() < deadline, f"waited {PATIENCE} s for {what}"
-        time.sleep(0.005)
 
 
 class Radio:

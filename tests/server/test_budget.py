@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.server.peers import PATIENCE, Peer, serving
+from tests.server.peers import PATIENCE, Peer, serving, wait_until
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import PeerError
 from usarmjx.server.gamebots import adapter
@@ -242,13 +242,6 @@ def flood(peers, data, until):
         for peer in peers:
             with contextlib.suppress(OSError):  # it is full, or was hung up on
                 rests[peer] = rests[peer][peer.socket.send(rests[peer]) :] or data
-        time.sleep(0.002)
-
-
-def wait_until(happens):
-    deadline = time.monotonic() + PATIENCE
-    while not happens():
-        assert time.monotonic() < deadline
         time.sleep(0.002)
 
 

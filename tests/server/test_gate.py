@@ -19,8 +19,7 @@ from tests.server.all_ports import (
     hear,
     server_side,
 )
-from tests.server.peers import PATIENCE, Peer, serving
-from tests.server.radio_servers import wait_until
+from tests.server.peers import PATIENCE, Peer, serving, wait_until
 from tests.server.still_world import StillWorld, init
 from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network import gate, ports

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tests.server.peers import Peer, looping
+from tests.server.peers import Peer, looping, wait_until
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.server import BotServer
@@ -66,8 +66,7 @@ def test_robots_of_one_name_stand_at_one_place_in_two_worlds(houses):
         assert place, "one robot"
         assert float(place[1]) == pytest.approx(4.5, abs=1e-3)  # it leans a little as it stands
     peers[0].close()
-    peers[1].sta_times(5)
-    assert ask(houses[0], "GETPOS") == "POSITIONS {Robots 0}"
+    wait_until(lambda: ask(houses[0], "GETPOS") == "POSITIONS {Robots 0}")
     peers[1].close()
 
 

@@ -9,8 +9,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tests.server.all_ports import HOST, KINDS, LINE, TCP_KINDS, TOKEN, all_ports, begins, hear
-from tests.server.peers import PATIENCE, Peer, serving
-from tests.server.radio_servers import client, wait_until
+from tests.server.peers import PATIENCE, Peer, serving, wait_until
+from tests.server.radio_servers import client
 from tests.server.still_world import StillWorld, init
 from usarmjx.server.network import gate
 from usarmjx.server.network.access import AccessRules

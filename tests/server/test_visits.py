@@ -10,7 +10,7 @@ from functools import partial
 from websockets.sync.client import connect
 
 from tests.arenas import FLAT
-from tests.server.peers import PATIENCE, Peer, looping
+from tests.server.peers import PATIENCE, Peer, looping, wait_until
 from tests.view.visitor import visiting
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.settings import BotServerSettings
@@ -32,18 +32,12 @@ def visit_world(world, port, robot):
     peer.say("DRIVE {Left 1.0} {Right 0.5}")
     assert peer.until(b"SEN ")
     peer.close()
-    end = time.monotonic() + PATIENCE
-    while world.robots and time.monotonic() < end:
-        time.sleep(0.005)
-    assert not world.robots
+    wait_until(lambda: not world.robots)
 
 
 def visit_page(port):
     with visiting(port) as visitor:
-        end = time.monotonic() + PATIENCE
-        while not visitor.heard and time.monotonic() < end:
-            time.sleep(0.01)
-        assert visitor.heard
+        wait_until(lambda: visitor.heard)
 
 
 def visit_ros(port):
@@ -59,10 +53,7 @@ def started():
 
 def objects(server, threads):
     """The present objects by type, once all who came have gone."""
-    end = time.monotonic() + PATIENCE
-    while (server._connections or started() > threads) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert not server._connections
+    wait_until(lambda: not server._connections and started() <= threads)
     time.sleep(1.0)  # timers and executors let go of what they ran
     gc.collect()
     return Counter(f"{type(one).__module__}.{type(one).__qualname__}" for one in gc.get_objects())

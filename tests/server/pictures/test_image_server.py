@@ -17,8 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.scripts import load
-from tests.server.peers import PATIENCE
-from tests.server.radio_servers import wait_until
+from tests.server.peers import PATIENCE, wait_until
 from tests.server.watchers import DISTANCE, SIDE, classes, gallery, on_show, shows
 from usarmjx.cli.app import app
 from usarmjx.server.pictures import image_server

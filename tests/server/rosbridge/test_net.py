@@ -7,7 +7,6 @@ import json
 import math
 import re
 import socket
-import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -19,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tests.arenas import COURSE, FLAT
-from tests.server.peers import PATIENCE, Peer, looping
+from tests.server.peers import PATIENCE, Peer, looping, wait_until
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Mount
@@ -114,9 +113,7 @@ def ros(served):
     client = Ros(served[0])
     yield client
     client.socket.close()
-    deadline = time.monotonic() + PATIENCE
-    while served[1].world.robots and time.monotonic() < deadline:  # the next test has the world for itself
-        time.sleep(0.01)
+    wait_until(lambda: not served[1].world.robots)  # the next test has the world for itself
     assert served[1].world.robots == {}
 
 
@@ -395,13 +392,6 @@ def test_a_client_of_rosbridge_has_the_budget_of_one_at_the_port_for_robots(serv
 
 def call_spawn(ros, name):
     ros.say("call_service", service="/simulator/spawn", args={"class": "P2AT", "name": name}, id=name)
-
-
-def wait_until(happens):
-    deadline = time.monotonic() + PATIENCE
-    while not happens():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def make_steps(server, count=10):

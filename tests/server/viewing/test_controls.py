@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.server.peers import PATIENCE, Peer, looping
+from tests.server.peers import PATIENCE, Peer, looping, wait_until
 from usarmjx.base.errors import UsageError
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.settings import BotServerSettings
@@ -293,13 +293,6 @@ def test_init_with_its_name_takes_a_robot_over_from_the_page(served):
         assert served.server.guests == []
         peer.close()
         wait_until(lambda: served.names() == [])
-
-
-def wait_until(done):
-    deadline = time.monotonic() + PATIENCE
-    while not done() and time.monotonic() < deadline:
-        time.sleep(0.005)
-    assert done()
 
 
 # The queue

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.server.peers import PATIENCE, Peer
-from tests.server.radio_servers import client, crowded, drain, on_air, spread, wait_until
+from tests.server.peers import PATIENCE, Peer, wait_until
+from tests.server.radio_servers import client, crowded, drain, on_air, spread
 from usarmjx.server.wireless import sockets
 from usarmjx.server.wireless.dialect_a import MAX_PAYLOAD
 from usarmjx.server.wireless.sockets import MAX_WRITE_BUFFER

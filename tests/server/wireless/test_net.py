@@ -18,7 +18,8 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.arenas import COURSE, FLAT
-from tests.server.radio_servers import REACH, SHORT, client, crowded, drain, on_air, spread, wait_until
+from tests.server.peers import wait_until
+from tests.server.radio_servers import REACH, SHORT, client, crowded, drain, on_air, spread
 from usarmjx.cli.app import app
 from usarmjx.comms.links import antenna_offset
 from usarmjx.models.robots import ROBOTS

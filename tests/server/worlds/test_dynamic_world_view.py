@@ -7,8 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from tests.server.peers import PATIENCE
-from tests.server.radio_servers import wait_until
+from tests.server.peers import PATIENCE, wait_until
 from usarmjx.models.robots.pioneer import P2DX
 from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, Light, LooseObject, StartPose, Victim, Water
 from usarmjx.models.types.shapes import Mesh, Shape
