@@ -1,29 +1,15 @@
-"""Constraint rows of C MuJoCo in the arrays of MuJoCo Warp, for the solver `block` alone."""
-
-from importlib import import_module
-from types import SimpleNamespace
-from typing import Any
+"""Random states, errors and trajectories for the tests of the solver `block`."""
 
 import mujoco
 import numpy as np
 import warp as wp
 
+from benchmarks.islands.rows import data_of, jacobian, model_of, solved_alone
 from usarmjx.engines.block.islands import THREADS
-from usarmjx.engines.block.solver import WARP_TYPES, islands_kernel, make_problem, solve
+from usarmjx.engines.block.solver import islands_kernel, make_problem
 
 State = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Positions, velocities, controls and accelerations of the last step."""
-
-
-def exact(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Make C MuJoCo's Newton solver converge to 1e-10."""
-    model.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    model.opt.iterations, model.opt.tolerance = 200, 1e-10
-    model.opt.ls_iterations, model.opt.ls_tolerance = 100, 1e-6
-    model.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_ISLAND
-    )  # with islands, the states of rows are in their order
-    return model
 
 
 def scattered(
@@ -77,91 +63,6 @@ def solve_in_c(model: mujoco.MjModel, state: State) -> mujoco.MjData:
     return data
 
 
-def _array(rows: list[Any], kind: type = np.float32, size: int | None = None) -> Any:
-    """Stack arrays of all worlds, with zeros behind those that are shorter than `size`."""
-    rows = [np.asarray(row) for row in rows]
-    length = max(1, size if size is not None else max(len(row) for row in rows))
-    whole = np.zeros((len(rows), length, *rows[0].shape[1:]), kind)
-    for mine, row in zip(whole, rows, strict=True):
-        mine[: len(row)] = row
-    return wp.array(whole, dtype=float if kind is np.float32 else int)
-
-
-def model_of(model: mujoco.MjModel, sparse: bool = True) -> SimpleNamespace:
-    """Return what the solver reads of MuJoCo Warp's model."""
-    whole = {
-        "dof_treeid": model.dof_treeid, "tree_dofadr": model.tree_dofadr, "tree_dofnum": model.tree_dofnum,
-        "M_rownnz": model.M_rownnz, "M_rowadr": model.M_rowadr, "M_colind": model.M_colind,
-    }  # fmt: skip
-    arrays = {name: wp.array(np.asarray(value, np.int32), dtype=int) for name, value in whole.items()}
-    impedance = wp.array(np.array([model.opt.impratio**-0.5], np.float32), dtype=float)
-    option = SimpleNamespace(impratio_invsqrt=impedance, disableflags=model.opt.disableflags)
-    return SimpleNamespace(**arrays, opt=option, ntree=model.ntree, nv=model.nv, is_sparse=sparse)
-
-
-def data_of(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: bool = True) -> SimpleNamespace:
-    """Return what the solver reads and writes of MuJoCo Warp's data, a world for each solved state."""
-    rows = max(max(data.nefc for data in solved), 1)
-    first = np.cumsum([0, *(data.ncon for data in solved)])
-    dense = [jacobian(model, data) for data in solved]
-    size = [(row != 0.0).sum(1) for row in dense]
-    contacts = [contact for data in solved for contact in data.contact]
-    ids = [
-        np.where(
-            data.efc_type >= int(mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS), data.efc_id + begin, 0
-        )
-        for data, begin in zip(solved, first, strict=False)
-    ]
-    addresses = np.array([contact.efc_address for contact in contacts] or [0], np.int32)
-    frictions = np.array([contact.friction for contact in contacts] or [np.ones(5)], np.float32)
-    values = [row[row != 0.0] for row in dense]
-    efc = SimpleNamespace(
-        type=_array([data.efc_type for data in solved], np.int32, rows),
-        id=_array(ids, np.int32, rows),
-        J_rownnz=_array(size, np.int32, rows),
-        J_rowadr=_array([np.cumsum([0, *n])[:-1] for n in size], np.int32, rows),
-        J_colind=wp.array(
-            _array([np.nonzero(row)[1] for row in dense], np.int32).numpy()[:, None], dtype=int
-        ),
-        J=wp.array(_array(values).numpy()[:, None], dtype=float) if sparse else _array(dense, size=rows),
-        D=_array([data.efc_D for data in solved], size=rows),
-        aref=_array([data.efc_aref for data in solved], size=rows),
-        frictionloss=_array([data.efc_frictionloss for data in solved], size=rows),
-        force=_array([np.full(rows, np.nan)] * len(solved)),
-        state=_array([np.full(rows, -1)] * len(solved), np.int32),
-        Ma=_array([np.full(model.nv, np.nan)] * len(solved)),
-    )
-    contact = SimpleNamespace(
-        dim=wp.array(np.array([contact.dim for contact in contacts] or [1], np.int32), dtype=int),
-        efc_address=wp.array(addresses[:, None].copy(), dtype=int),
-        friction=wp.array(frictions, dtype=import_module(WARP_TYPES).vec5),
-    )
-    return SimpleNamespace(
-        nworld=len(solved),
-        njmax=rows,
-        nefc=wp.array(np.array([data.nefc for data in solved], np.int32), dtype=int),
-        efc=efc,
-        contact=contact,
-        M=_array([data.M for data in solved]),
-        qacc_smooth=_array([data.qacc_smooth for data in solved]),
-        qfrc_smooth=_array([data.qfrc_smooth for data in solved]),
-        qacc_warmstart=_array([data.qacc_warmstart for data in solved]),
-        qacc=_array([np.full(model.nv, np.nan)] * len(solved)),
-        qfrc_constraint=_array([np.full(model.nv, np.nan)] * len(solved)),
-        solver_niter=wp.array(np.full(len(solved), -1, np.int32), dtype=int),
-    )
-
-
-def jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return the dense Jacobian of the constraints (nefc, nv)."""
-    dense = np.zeros((data.nefc, model.nv))
-    if not mujoco.mj_isSparse(model):
-        return data.efc_J.reshape(data.nefc, model.nv).copy()
-    for k, (start, size) in enumerate(zip(data.efc_J_rowadr, data.efc_J_rownnz, strict=True)):
-        dense[k, data.efc_J_colind[start : start + size]] = data.efc_J[start : start + size]
-    return dense
-
-
 def error(model: mujoco.MjModel, data: mujoco.MjData, found: np.ndarray) -> float:
     """Return the error of accelerations in the norm of the mass matrix.
 
@@ -177,13 +78,6 @@ def error(model: mujoco.MjModel, data: mujoco.MjData, found: np.ndarray) -> floa
     pushed = jacobian(model, data) * data.efc_force[:, None]
     single = np.sqrt((pushed * np.linalg.solve(mass, pushed.T).T).sum(1)).max(initial=0.0)
     return norm(found - data.qacc) / max(norm(data.qacc), norm(data.qacc_smooth), 0.1 * single)
-
-
-def solved_alone(model: mujoco.MjModel, solved: list[mujoco.MjData], sparse: bool = True) -> SimpleNamespace:
-    """Return the data of the worlds after the solver."""
-    data = data_of(model, solved, sparse)
-    solve(model_of(model, sparse), data)
-    return data
 
 
 def roll_out(

@@ -11,16 +11,8 @@ import pytest
 
 pytest.importorskip("warp", reason="needs warp-lang")
 
-from tests.engines.block_rows import (
-    error,
-    exact,
-    islands_of,
-    random_states,
-    roll_out,
-    scattered,
-    solve_in_c,
-    solved_alone,
-)
+from benchmarks.islands.rows import exact, solved_alone
+from tests.engines.block_rows import error, islands_of, random_states, roll_out, scattered, solve_in_c
 from usarmjx.engines.block import coverage
 from usarmjx.engines.mjx_warp import WarpEngine
 from usarmjx.models.compile.physics import Physics
@@ -131,6 +123,29 @@ def test_robots_in_touch_are_one_island_and_others_their_own():
     roots = islands_of(model, [data])[0]
     loose = model.ntree - 3
     assert roots.tolist() == [*range(loose), loose, loose, loose + 2]
+
+
+SLIDE = """
+<mujoco>
+  <worldbody>
+    <body name="cart" pos="0 0 .1"><joint type="slide" axis="1 0 0"/>
+      <geom type="box" size=".2 .2 .1" mass="2"/></body>
+    <body name="load" pos="0 0 .299"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body>
+  </worldbody>
+</mujoco>
+"""
+"""A load on a cart, whose rail is at right angles to the normals of the contacts."""
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("sparse", [True, False])
+def test_friction_alone_makes_an_island_of_what_touches(sparse: bool):
+    model = exact(mujoco.MjModel.from_xml_string(SLIDE))
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0
+    mujoco.mj_forward(model, data)
+    assert abs(data.qacc[0]) > 1.0
+    check(model, [data], sparse)
 
 
 def test_a_batch_finds_what_each_of_its_worlds_finds_alone():

@@ -7,7 +7,8 @@ import pytest
 
 pytest.importorskip("warp", reason="needs warp-lang")
 
-from tests.engines.block_rows import data_of, exact, model_of, random_states, solve_in_c
+from benchmarks.islands.rows import data_of, exact, model_of
+from tests.engines.block_rows import random_states, solve_in_c
 from tests.engines.gpu_threads import COMPILER, run_struct_as_on_a_gpu
 from usarmjx.engines.block import islands, newton, solver
 from usarmjx.engines.planar.warp_solids import expand_macros

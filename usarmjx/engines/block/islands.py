@@ -19,7 +19,7 @@ its constraints in the list of its world."""
 NEED_CODE = """
     // Numbers that an island needs: the layout is that of `newton.LOAD_CODE`.
     const auto need_of = [](int n, int rows, int constraints, int hessians) -> int {
-        return rows * (n + 5) + 2 * constraints + hessians + (n + 1) * (n + 2) / 2 + n * (n + 1) / 2 + 7 * n;
+        return rows * (n + 6) + 2 * constraints + hessians + (n + 1) * (n + 2) / 2 + n * (n + 1) / 2 + 8 * n;
     };
 """
 """Native function of an island's degrees of freedom, rows, constraints and numbers of their Hessians."""
@@ -79,12 +79,16 @@ SORT_CODE = """
                 high = tree > high ? tree : high;
             }
         } else {
-            const float* const row = p.jacobian.data + ((size_t)world * padded_rows + r) * padded_dofs;
-            for (int i = 0; i < dofs; ++i) {
-                if (row[i] == 0.0f) continue;
-                const int tree = p.dof_tree.data[i];
-                low = tree < low ? tree : low;
-                high = tree > high ? tree : high;
+            // Zeros are not stored apart: a tree may be in some rows of a contact only.
+            const float* const first = p.jacobian.data + ((size_t)world * padded_rows + r) * padded_dofs;
+            for (int k = 0; k < count; ++k) {
+                const float* const row = first + (size_t)k * padded_dofs;
+                for (int i = 0; i < dofs; ++i) {
+                    if (row[i] == 0.0f) continue;
+                    const int tree = p.dof_tree.data[i];
+                    low = tree < low ? tree : low;
+                    high = tree > high ? tree : high;
+                }
             }
         }
         if (high >= 0) label[r] = low | high << 12 | count << 24;

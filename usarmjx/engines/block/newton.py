@@ -3,7 +3,8 @@
 The problem is MuJoCo's: the acceleration that minimises the deviation from the unconstrained one, weighted
 by the mass matrix, plus a cost of each constraint (the "Computation" chapter of its documentation). Some
 lanes of a warp, or a block of threads, handle an island; its rows, mass matrix and Hessian are in shared
-memory. Sums have a fixed order. On a CPU, the first lane handles the whole island.
+memory. Sums have a fixed order; those of forces and of distances to constraints are in double precision. On
+a CPU, the first lane handles the whole island.
 """
 
 from usarmjx.engines.block.islands import ROW_BITS, SIZES_CODE
@@ -72,56 +73,72 @@ UNIT_CODE = """
         const auto size_of = [&](int u) -> int { return plan[2 * u] >> 16 & 15; };
         const auto kind_of = [&](int u) -> int { return plan[2 * u] >> 20; };
 
-        // Forces of all constraints, and the Hessians of their costs.
-        const auto assess = [&]() {
-            for (int u = lane; u < constraints; u += lanes) {
-                const int r = begin_of(u), dim = size_of(u), kind = kind_of(u);
-                float* const h = hessian + plan[2 * u + 1];
-                if (kind != KIND_CONE) {
-                    const float value = x[r], stiff = weight[r];
-                    float push = -stiff * value, curve = stiff;
-                    if (kind == KIND_FRICTION) {
-                        const float most = shape[r];
-                        if (push > most || push < -most) { push = push > 0.0f ? most : -most; curve = 0.0f; }
-                    } else if (kind == KIND_ONE_SIDED && value >= 0.0f) {
-                        push = 0.0f;
-                        curve = 0.0f;
-                    }
-                    f[r] = push;
-                    h[0] = curve;
-                    continue;
+        // State of a constraint, as its force and Hessian show it.
+        const auto state_of = [&](int u) -> int {
+            const int r = begin_of(u), kind = kind_of(u);
+            const float curve = hessian[plan[2 * u + 1]];
+            if (curve == 0.0f)
+                return kind != KIND_FRICTION ? SATISFIED : f[r] > 0.0f ? LINEAR_NEGATIVE : LINEAR_POSITIVE;
+            return kind == KIND_CONE && curve != weight[r] ? SLIDING : QUADRATIC;
+        };
+        // Forces of a constraint, and the Hessian of its cost.
+        const auto assess_one = [&](int u) {
+            const int r = begin_of(u), dim = size_of(u), kind = kind_of(u);
+            float* const h = hessian + plan[2 * u + 1];
+            if (kind != KIND_CONE) {
+                const float value = x[r], stiff = weight[r];
+                float push = -stiff * value, curve = stiff;
+                if (kind == KIND_FRICTION) {
+                    const float most = shape[r];
+                    if (push > most || push < -most) { push = push > 0.0f ? most : -most; curve = 0.0f; }
+                } else if (kind == KIND_ONE_SIDED && value >= 0.0f) {
+                    push = 0.0f;
+                    curve = 0.0f;
                 }
-                const float mu = shape[r], normal = x[r] * mu;
-                float square = 0.0f;
-                for (int j = 1; j < dim; ++j) {
-                    const float part = x[r + j] * shape[r + j];
-                    square += part * part;
+                f[r] = push;
+                h[0] = curve;
+                return;
+            }
+            const float mu = shape[r], normal = x[r] * mu;
+            float square = 0.0f;
+            for (int j = 1; j < dim; ++j) {
+                const float part = x[r + j] * shape[r + j];
+                square += part * part;
+            }
+            const float slip = sqrt(square);
+            const bool open = normal >= mu * slip, stuck = !open && mu * normal + slip <= 0.0f;
+            if (open || stuck) {
+                for (int j = 0, k = 0; j < dim; ++j) {
+                    f[r + j] = open ? 0.0f : -weight[r + j] * x[r + j];
+                    for (int i = 0; i <= j; ++i, ++k) h[k] = open || i != j ? 0.0f : weight[r + j];
                 }
-                const float slip = sqrt(square);
-                const bool open = normal >= mu * slip, stuck = !open && mu * normal + slip <= 0.0f;
-                if (open || stuck) {
-                    for (int j = 0, k = 0; j < dim; ++j) {
-                        f[r + j] = open ? 0.0f : -weight[r + j] * x[r + j];
-                        for (int i = 0; i <= j; ++i, ++k) h[k] = open || i != j ? 0.0f : weight[r + j];
-                    }
-                    continue;
-                }
-                const float stiff = weight[r] / (mu * mu * (1.0f + mu * mu));
-                const float gap = normal - mu * slip, along = 1.0f / max(slip, TINY);
-                f[r] = -stiff * gap * mu;
-                h[0] = stiff * mu * mu;
-                for (int j = 1, k = 1; j < dim; ++j) {
-                    const float one = x[r + j] * shape[r + j] * along;  // of the direction of slip
-                    f[r + j] = stiff * gap * mu * one * shape[r + j];
-                    h[k++] = -stiff * mu * mu * one * shape[r + j];
-                    for (int i = 1; i <= j; ++i, ++k) {
-                        const float other = x[r + i] * shape[r + i] * along;
-                        const float across = (i == j ? 1.0f : 0.0f) - one * other;
-                        const float both = mu * one * other - gap * along * across;
-                        h[k] = stiff * mu * both * shape[r + i] * shape[r + j];
-                    }
+                return;
+            }
+            const float stiff = weight[r] / (mu * mu * (1.0f + mu * mu));
+            const float gap = normal - mu * slip, along = 1.0f / max(slip, TINY);
+            f[r] = -stiff * gap * mu;
+            h[0] = stiff * mu * mu;
+            for (int j = 1, k = 1; j < dim; ++j) {
+                const float one = x[r + j] * shape[r + j] * along;  // of the direction of slip
+                f[r + j] = stiff * gap * mu * one * shape[r + j];
+                h[k++] = -stiff * mu * mu * one * shape[r + j];
+                for (int i = 1; i <= j; ++i, ++k) {
+                    const float other = x[r + i] * shape[r + i] * along;
+                    const float across = (i == j ? 1.0f : 0.0f) - one * other;
+                    const float both = mu * one * other - gap * along * across;
+                    h[k] = stiff * mu * both * shape[r + i] * shape[r + j];
                 }
             }
+        };
+        // The same of all constraints; whether the state of one of the lane's has changed.
+        const auto assess = [&]() -> bool {
+            bool changed = false;
+            for (int u = lane; u < constraints; u += lanes) {
+                const int before = state_of(u);
+                assess_one(u);
+                changed |= state_of(u) != before;
+            }
+            return changed;
         };
 
         // First and second derivative of a constraint's cost along the search direction.
@@ -183,13 +200,15 @@ LOAD_CODE = """
         float* const v = x + rows;  // J search
         float* const weight = v + rows;
         float* const f = weight + rows;
-        float* const shape = f + rows;  // bound or coefficients of friction
+        float* const aim = f + rows;  // aref
+        float* const shape = aim + rows;  // bound or coefficients of friction
         int* const plan = (int*)(shape + rows);
         float* const hessian = (float*)(plan + 2 * constraints);
         float* const factor = hessian + hessians;  // its last row is the right side of the linear equations
         float* const mass = factor + (n + 1) * (n + 2) / 2;
         float* const a = mass + n * (n + 1) / 2;
-        float* const ma = a + n;
+        float* const rest = a + n;  // of the accelerations, beyond single precision
+        float* const ma = rest + n;
         float* const search = ma + n;
         float* const ms = search + n;  // M search
         float* const inverse = ms + n;  // of the diagonal of the factor
@@ -220,6 +239,7 @@ LOAD_CODE = """
             const float* const values = p.inertia.data + (size_t)world * p.masses + from;
             for (int k = 0; k < p.mass_size.data[row]; ++k)
                 mass[at(i, place(p.mass_columns.data[from + k]))] = values[k];
+            rest[i] = 0.0f;
             a[i] = (p.warm ? p.warm_acceleration : p.smooth_acceleration).data[first_dof + row];
             smooth[i] = p.smooth_force.data[first_dof + row];
         }
@@ -235,7 +255,7 @@ LOAD_CODE = """
             const float* const rubs = (const float*)p.friction.data + contact * 5;
             for (int j = 0; j < dim; ++j) {
                 weight[r + j] = p.weights.data[first_weight + from + j];
-                x[r + j] = -p.reference.data[first_row + from + j];
+                aim[r + j] = p.reference.data[first_row + from + j];
                 shape[r + j] = kind == KIND_FRICTION ? p.bound.data[first_row + from + j]
                     : kind != KIND_CONE ? 0.0f
                     : j > 0 ? rubs[j - 1] : rubs[0] * p.impedance.data[world % p.impedances];
@@ -251,11 +271,7 @@ LOAD_CODE = """
             }
         }
         wait();
-        const auto times_mass = [&](const float* vector, int i) -> float {
-            float total = 0.0f;
-            for (int j = 0; j < n; ++j) total += mass[i > j ? at(i, j) : at(j, i)] * vector[j];
-            return total;
-        };
+        const auto inertia = [&](int i, int j) -> float { return mass[i > j ? at(i, j) : at(j, i)]; };
         const auto times_row = [&](const float* vector, int r) -> float {
             float total = 0.0f;
             for (int i = 0; i < n; ++i) total += jac[r * n + i] * vector[i];
@@ -266,26 +282,42 @@ LOAD_CODE = """
             for (int r = 0; r < rows; ++r) total += jac[r * n + i] * f[r];
             return total;
         };
-        float energy = 0.0f;
-        for (int i = lane; i < n; i += lanes) {
-            ma[i] = times_mass(a, i);
-            energy += abs(a[i] * ma[i]) + abs(smooth[i] * p.smooth_acceleration.data[first_dof + dof[i]]);
-        }
-        const float enough = STEP_TOLERANCE * STEP_TOLERANCE * max(sum(energy), LEAST_ENERGY);
-        for (int r = lane; r < rows; r += lanes) x[r] += times_row(a, r);
+        // Sums of large terms that cancel: in single precision, stiff constraints would have wrong forces.
+        const auto distance = [&](int r) -> float {
+            double total = -aim[r];
+            for (int i = 0; i < n; ++i) total += (double)jac[r * n + i] * ((double)a[i] + rest[i]);
+            return (float)total;
+        };
+        const auto descent = [&](int i) -> float {
+            double total = 0.0;
+            for (int j = 0; j < n; ++j) total += (double)inertia(i, j) * ((double)a[j] + rest[j]);
+            ma[i] = (float)total;
+            total = smooth[i] - total;
+            for (int r = 0; r < rows; ++r) total += (double)jac[r * n + i] * f[r];
+            return (float)total;
+        };
+        float free_energy = 0.0f;
+        for (int i = lane; i < n; i += lanes)
+            free_energy += smooth[i] * p.smooth_acceleration.data[first_dof + dof[i]];
+        free_energy = max(sum(free_energy), LEAST_ENERGY);
+        for (int r = lane; r < rows; r += lanes) x[r] = distance(r);
         wait();
 """
 """Native code that reads an island."""
 
 NEWTON_CODE = """
         const int tiles = (n + 1) / 2;
-        int iteration = 0;
+        int iteration = 0, stalls = 0;
         float before = 0.0f;
-        for (bool converged = false; !converged && iteration < MOST_ITERATIONS; ++iteration) {
-            assess();
+        bool converged = false;
+        for (;; ++iteration) {
+            const bool changed = assess();
             wait();
+            // However short a step is: one that changes states may leave forces far from their balance.
+            if (converged && (++stalls > MOST_STALLS || !(sum(changed ? 1.0f : 0.0f) > 0.0f))) break;
+            if (stalls > MOST_STALLS || iteration == MOST_ITERATIONS) break;
             // Hessian, two columns by two rows at a time; its last row is the negative gradient.
-            for (int i = lane; i < n; i += lanes) last[i] = smooth[i] - ma[i] + pushed(i);
+            for (int i = lane; i < n; i += lanes) last[i] = descent(i);
             for (int tile = lane; tile < tiles * (tiles + 1) / 2; tile += lanes) {
                 int high = (int)((sqrt(8.0f * (float)tile + 1.0f) - 1.0f) * 0.5f);
                 while (high * (high + 1) / 2 > tile) --high;
@@ -345,20 +377,23 @@ NEWTON_CODE = """
                 if (k % lanes == lane) search[k] = value;
                 wait();
             }
-            float linear = 0.0f, square = 0.0f;
+            float linear = 0.0f, square = 0.0f, energy = 0.0f;
             for (int i = lane; i < n; i += lanes) {
-                ms[i] = times_mass(search, i);
+                ms[i] = 0.0f;
+                for (int j = 0; j < n; ++j) ms[i] += inertia(i, j) * search[j];
                 linear += search[i] * (ma[i] - smooth[i]);
                 square += search[i] * ms[i];
+                energy += a[i] * ma[i];
             }
             for (int r = lane; r < rows; r += lanes) v[r] = times_row(search, r);
             linear = sum(linear);
             square = sum(square);
+            const float enough = STEP_TOLERANCE * STEP_TOLERANCE * max(sum(energy), free_energy);
             wait();
             float alpha = 1.0f;
             // Near the end, steps that do not shrink are roundings. Numbers that are not finite end it, too.
-            const bool rounding = iteration > 0 && fall < NEAR_END * enough && fall > 0.25f * before;
-            converged = rounding || !(fall > enough);
+            converged = !(fall > enough);
+            if (!converged && iteration > 0 && fall < NEAR_END * enough && fall > 0.25f * before) ++stalls;
             before = fall;
             if (!converged) {
                 float low = 0.0f, high = -1.0f;
@@ -373,14 +408,15 @@ NEWTON_CODE = """
                 }
             }
             for (int i = lane; i < n; i += lanes) {
-                a[i] += alpha * search[i];
+                const double value = (double)a[i] + rest[i] + (double)alpha * search[i];
+                a[i] = (float)value;
+                rest[i] = (float)(value - a[i]);
                 ma[i] += alpha * ms[i];
             }
-            for (int r = lane; r < rows; r += lanes) x[r] += alpha * v[r];
+            wait();
+            for (int r = lane; r < rows; r += lanes) x[r] = distance(r);
             wait();
         }
-        assess();
-        wait();
         for (int i = lane; i < n; i += lanes) {
             const size_t target = first_dof + dof[i];
             p.acceleration.data[target] = a[i];
@@ -389,11 +425,7 @@ NEWTON_CODE = """
         }
         for (int u = lane; u < constraints; u += lanes) {
             const int from = list[2 * u] & (1 << ROW_BITS) - 1, r = begin_of(u), dim = size_of(u);
-            const float* const h = hessian + plan[2 * u + 1];
-            int row_state = SATISFIED;
-            if (kind_of(u) == KIND_FRICTION) row_state = f[r] > 0.0f ? LINEAR_NEGATIVE : LINEAR_POSITIVE;
-            if (h[0] != 0.0f) row_state = QUADRATIC;
-            if (kind_of(u) == KIND_CONE && h[0] != 0.0f && h[0] != weight[r]) row_state = SLIDING;
+            const int row_state = state_of(u);
             for (int j = 0; j < dim; ++j) {
                 p.force.data[first_row + from + j] = f[r + j];
                 p.state.data[first_weight + from + j] = row_state;
@@ -430,6 +462,7 @@ MACROS = {
     "STEP_TOLERANCE": f"{STEP_TOLERANCE}f",
     "SLOPE_TOLERANCE": f"{SLOPE_TOLERANCE}f",
     "NEAR_END": "1e4f",
+    "MOST_STALLS": 3,
     "LEAST_ENERGY": "1e-6f",
     "TINY": "1e-15f",
 }
@@ -439,4 +472,4 @@ MACROS = {
 def most_numbers(dofs: int, rows: int) -> int:
     """Return the most numbers that an island needs, given its world's degrees of freedom and rows."""
     # One constraint of six rows has 21 numbers of its Hessian.
-    return rows * (dofs + 5 + 2 + 4) + (dofs + 1) * (dofs + 2) // 2 + dofs * (dofs + 1) // 2 + 7 * dofs
+    return rows * (dofs + 6 + 2 + 4) + (dofs + 1) * (dofs + 2) // 2 + dofs * (dofs + 1) // 2 + 8 * dofs
