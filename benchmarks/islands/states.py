@@ -3,6 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -83,6 +84,9 @@ class StateMaker:
     """
 
     def __init__(self, model: mujoco.MjModel, arena: ArenaSpec, robots: int) -> None:
+        self._usual = copy(model)
+        self._usual.opt.tolerance = 1e-8
+        self._usual.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
         self.model, self._starts = model, np.array([start.at for start in arena.starts])
         self._extent = np.array(arena.extent)
         self.robots = _movers(model, [prefix_of(slot) for slot in range(robots)])
@@ -109,7 +113,7 @@ class StateMaker:
         return tuple(self._places)
 
     def trajectory(
-        self, kind: str, rng: np.random.Generator, states: int, every: int = 8
+        self, kind: str, rng: np.random.Generator, states: int, every: int = 5
     ) -> Iterator[mujoco.MjData]:
         """Yield the data of states after C MuJoCo's forward dynamics, always the same object.
 
@@ -127,8 +131,7 @@ class StateMaker:
         self._places[kind](data, rng)
         for number in range(states):
             self._command(data, kind, rng)
-            for _ in range(BURN_IN.get(kind, 1) if number == 0 else every):
-                mujoco.mj_step(self.model, data)
+            mujoco.mj_step(self._usual, data, BURN_IN.get(kind, 1) if number == 0 else every)
             warm = data.qacc_warmstart.copy()
             mujoco.mj_forward(self.model, data)
             data.qacc_warmstart[:] = warm

@@ -1,0 +1,50 @@
+"""`benchmarks.islands`: solver `block` beside C MuJoCo on a sample of the states, and the benchmark."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp", reason="needs warp-lang")
+
+from benchmarks.islands import __main__ as islands
+from benchmarks.islands import rows
+from benchmarks.islands.compare import errors
+from benchmarks.islands.states import StateMaker
+from usarmjx.models.compile.physics import Physics
+from usarmjx.sim.scene import build_scene
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(
+    ("arena", "robot", "cone"),
+    [
+        ("DM-USAR_red", "Talon", "elliptic"),
+        ("DM-Factory", "Soryu", "elliptic"),
+        ("DM-Outdoor", "QRIO", "pyramidal"),
+        ("DM-Soccer", "Sedan", "elliptic"),
+    ],
+)
+def test_accelerations_are_those_of_c_mujoco(arena: str, robot: str, cone: islands.Cone):
+    """Cars deep in each other push so hard that their rows in single precision have roots 1e-4 off."""
+    line = islands.play(arena, robot, 0, 3, cone)
+    assert sum(line["states"].values()) > 12
+    assert line["touching"] > 12
+    assert line["worst"]["island"] < islands.BOUND
+    for state in line["beyond"]:
+        assert state["solver"]["root"] < 1e-5, "the solver's, of the rows that it was given"
+
+
+def test_an_error_is_found_and_so_is_its_cause():
+    scene = build_scene("yellow", ["P2AT", "P2AT"], Physics(solver="block"))
+    model = rows.exact(scene.model)
+    maker = StateMaker(model, scene.arena, 2)
+    data = [rows.keep(data) for data in maker.trajectory("driving", np.random.default_rng(0), 3)][-1]
+    wrong = data.qacc.copy()
+    wrong[maker.robots[1].dof] += 0.5
+    assert errors(model, [data], wrong[None])[0] > 1e-5
+    assert errors(model, [data], data.qacc[None])[0] == 0.0
+    found = islands.causes(model, data, wrong)
+    root = maker.robots[1].dof
+    size = max(9.81, float(np.linalg.norm(data.qacc[root : root + 3])))
+    assert found["solver"]["root"] == pytest.approx(0.5 / size, rel=0.01)
+    assert found["rounding"]["root"] < 1e-5
+    assert found["c"]["root"] < 1e-5
