@@ -71,6 +71,23 @@ def model_of(model: mujoco.MjModel, sparse: bool = True) -> SimpleNamespace:
     return SimpleNamespace(**arrays, opt=option, ntree=model.ntree, nv=model.nv, is_sparse=sparse)
 
 
+def _jacobians(model: mujoco.MjModel, solved: Sequence[Any], sparse: bool, rows: int) -> dict[str, Any]:
+    """Return the arrays of the Jacobians, with room for some rows."""
+    worlds = len(solved)
+    if sparse:
+        values = {
+            "J_rownnz": _array([data.efc_J_rownnz for data in solved], np.int32, rows),
+            "J_rowadr": _array([data.efc_J_rowadr for data in solved], np.int32, rows),
+            "J_colind": _array([data.efc_J_colind for data in solved], np.int32),
+            "J": _array([data.efc_J for data in solved]),
+        }
+        return values | {name: values[name].reshape((worlds, 1, -1)) for name in ("J_colind", "J")}
+    empty = wp.zeros((worlds, rows), dtype=int)
+    columns = wp.zeros((worlds, 1, 1), dtype=int)
+    dense = _array([jacobian(model, data) for data in solved], size=rows)
+    return {"J_rownnz": empty, "J_rowadr": empty, "J_colind": columns, "J": dense}
+
+
 def data_of(model: mujoco.MjModel, solved: Sequence[Any], sparse: bool = True) -> SimpleNamespace:
     """Return what the solver reads and writes of MuJoCo Warp's data.
 
@@ -92,22 +109,8 @@ def data_of(model: mujoco.MjModel, solved: Sequence[Any], sparse: bool = True) -
         )
         for name, one in (("dim", [1]), ("efc_address", [0]), ("friction", np.ones((1, 5))))
     }
-    if sparse:
-        values = {
-            "J_rownnz": _array([data.efc_J_rownnz for data in solved], np.int32, rows),
-            "J_rowadr": _array([data.efc_J_rowadr for data in solved], np.int32, rows),
-            "J_colind": _array([data.efc_J_colind for data in solved], np.int32),
-            "J": _array([data.efc_J for data in solved]),
-        }
-        for name in ("J_colind", "J"):
-            values[name] = values[name].reshape((worlds, 1, -1))
-    else:
-        empty = wp.zeros((worlds, rows), dtype=int)
-        columns = wp.zeros((worlds, 1, 1), dtype=int)
-        dense = _array([jacobian(model, data) for data in solved], size=rows)
-        values = {"J_rownnz": empty, "J_rowadr": empty, "J_colind": columns, "J": dense}
     efc = SimpleNamespace(
-        **values,
+        **_jacobians(model, solved, sparse, rows),
         type=_array([data.efc_type for data in solved], np.int32, rows),
         id=_array(ids, np.int32, rows),
         D=_array([data.efc_D for data in solved], size=rows),
