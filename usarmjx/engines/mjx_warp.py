@@ -23,6 +23,7 @@ from usarmjx.base.warp_callbacks import pause_collection_in_callbacks
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.block.coverage import why_not
 from usarmjx.engines.cylinder_box import check_mjx_version
+from usarmjx.engines.launch_replay import LaunchReplay
 from usarmjx.engines.mjx import MjxEngine, local_device
 from usarmjx.engines.mjx_import import mjx
 from usarmjx.models.compile.compose import LOOSE_PREFIX, VICTIM_PREFIX
@@ -241,8 +242,12 @@ def multi_step(count: int, block: bool = False) -> Callable[[Any, Any], Any]:
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
 
     one_step = _step_by_blocks() if block else forward.mjwarp.step
+    replay = LaunchReplay(one_step)
 
     def run_kernels(model: object, data: object) -> None:
+        if jax.default_backend() == "cpu":
+            replay.run(model, data, count)
+            return
         for _ in range(count):
             one_step(model, data)
 
@@ -405,10 +410,10 @@ class WarpEngine(MjxEngine):
             self.mx = self.mx.tree_replace({"opt._impl.graph_mode": mode})
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
-        count = self.physics.substeps
-        if self.solver == "block":
-            return (multi_step(count, True), 1) if self._graphs.control_step else (multi_step(1, True), count)
-        return (multi_step(count), 1) if self._graphs.control_step else super()._step_and_count()
+        count, block = self.physics.substeps, self.solver == "block"
+        if self._graphs.control_step or jax.default_backend() == "cpu":
+            return multi_step(count, block), 1
+        return (multi_step(1, True), count) if block else super()._step_and_count()
 
     def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a step function that blocks on a CPU: `block_until_finished` misses dropped results."""
