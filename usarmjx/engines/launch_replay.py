@@ -6,9 +6,9 @@ change. A recording holds these, so it costs a hundredth. On GPUs CUDA graphs do
 
 import dataclasses
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 MOST_RECORDINGS = 4
 """Recordings that are kept of a function: XLA alternates between few sets of buffers."""
@@ -56,7 +56,7 @@ def _identity(value: Any) -> Iterator[Hashable]:  # noqa: ANN401 - of any field
         for field in dataclasses.fields(value):
             yield from _identity(getattr(value, field.name))
     elif isinstance(value, tuple | list):
-        for one in value:
+        for one in cast("Sequence[object]", value):
             yield from _identity(one)
     else:
         yield value

@@ -228,7 +228,7 @@ def _step_by_blocks() -> Callable[..., Any]:
 
 
 @cache
-def multi_step(count: int, block: bool = False) -> Callable[[Any, Any], Any]:
+def multi_step(count: int, block: bool) -> Callable[[Any, Any], Any]:
     """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
 
     Args:

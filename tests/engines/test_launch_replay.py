@@ -1,0 +1,151 @@
+"""Steps of engine `warp` on a CPU, replayed from recordings; oracle: the same launches, one by one."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("warp", reason="needs warp-lang")
+
+import warp
+
+from tests.engines.test_block import MECHANISM
+from usarmjx.engines.base import Inputs
+from usarmjx.engines.launch_replay import MOST_RECORDINGS, LaunchReplay
+from usarmjx.engines.mjx_warp import WarpEngine
+from usarmjx.models.compile.physics import Physics
+
+WORLDS, STEPS = 2, 24
+"""Worlds, and physics steps: the bodies fall to the floor meanwhile."""
+
+pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="GPUs replay CUDA graphs")
+
+
+@warp.kernel
+def add_one(numbers: warp.array(dtype=float), times: int):
+    k = warp.tid()
+    numbers[k] += float(times)
+
+
+@dataclass
+class Numbers:
+    """An array and what is added to it."""
+
+    array: object
+    step: int = 1
+
+
+class Launches:
+    """A function that launches a kernel, zeroes an array of its own, and counts its calls."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, model, data):
+        del model
+        self.calls += 1
+        scratch = warp.empty_like(data.array)
+        scratch.zero_()
+        warp.launch(add_one, dim=len(data.array), inputs=[scratch, data.step])
+        warp.launch(add_one, dim=len(data.array), inputs=[data.array, data.step])
+
+
+def numbers(start=0.0, step=1):
+    return Numbers(warp.full(3, start, dtype=float, device="cpu"), step)
+
+
+def test_all_calls_but_the_first_are_replayed_from_one_recording():
+    function, data = Launches(), numbers()
+    replay = LaunchReplay(function)
+    with warp.ScopedDevice("cpu"):
+        replay.run((), data, 10)
+        assert data.array.numpy().tolist() == [10.0] * 3
+        assert function.calls == 2, "the first, and the recorded one"
+        data.array.fill_(5.0)
+        replay.run((), data, 7)
+    assert data.array.numpy().tolist() == [12.0] * 3
+    assert function.calls == 2
+
+
+def test_a_single_call_is_recorded_when_it_comes_again():
+    function, data = Launches(), numbers()
+    replay = LaunchReplay(function)
+    with warp.ScopedDevice("cpu"):
+        for count in (1, 2, 3, 4):
+            replay.run((), data, 1)
+            assert data.array.numpy().tolist() == [count] * 3
+    assert function.calls == 2
+
+
+def test_other_arrays_and_other_numbers_have_recordings_of_their_own():
+    function, one = Launches(), numbers()
+    other, faster = numbers(100.0), Numbers(one.array, 10)
+    replay = LaunchReplay(function)
+    with warp.ScopedDevice("cpu"):
+        for data in (one, other, faster):
+            replay.run((), data, 3)
+    assert one.array.numpy().tolist() == [33.0] * 3
+    assert other.array.numpy().tolist() == [103.0] * 3
+    assert function.calls == 6
+
+
+def test_only_the_last_recordings_are_kept():
+    function, many = Launches(), [numbers() for _ in range(MOST_RECORDINGS + 1)]
+    replay = LaunchReplay(function)
+    with warp.ScopedDevice("cpu"):
+        for data in [*many, many[-1]]:
+            replay.run((), data, 3)
+        assert function.calls == 2 * len(many)
+        replay.run((), many[0], 3)
+    assert function.calls == 2 * len(many) + 2
+    assert many[0].array.numpy().tolist() == [6.0] * 3
+
+
+def steps_of(physics, cone):
+    """Engine states of all arrays after each of some control steps of two worlds."""
+    spec = mujoco.MjSpec.from_string(MECHANISM.format(cone=cone, condim=4))
+    for name, value in (("max_contact_points", 16), ("max_geom_pairs", 16)):
+        spec.add_numeric(name=name, size=1, data=[value])
+    engine = WarpEngine(spec, physics, WORLDS)
+    model = engine.model
+    inputs = Inputs(
+        ctrl=jnp.array([[0.3], [-0.3]]),
+        act=jnp.zeros((WORLDS, 0)),
+        xfrc_applied=jnp.zeros((WORLDS, model.nbody, 6)),
+        pinned=jnp.zeros((WORLDS, model.nq), bool),
+        pinned_dof=jnp.zeros((WORLDS, model.nv), bool),
+        qpos=jnp.zeros((WORLDS, model.nq)),
+    )
+    state, step, found = engine.start(), jax.jit(engine.advance), []
+    for _ in range(STEPS // physics.substeps):
+        state = step(state, inputs)
+        found.append(jax.device_get(jax.tree.leaves(state)))
+    assert engine.uncovered is None
+    assert np.asarray(engine.solved(state).contacts).min() > 0
+    return found
+
+
+@pytest.mark.parametrize(
+    ("physics", "cone"),
+    [
+        (Physics(), "pyramidal"),
+        (replace(Physics(), substeps=1), "pyramidal"),
+        (replace(Physics(), solver="Newton"), "elliptic"),
+        (replace(Physics(), solver="block"), "elliptic"),
+    ],
+    ids=["CG", "one step a call", "Newton", "block"],
+)
+def test_replayed_steps_have_the_bits_of_plain_ones(physics, cone, monkeypatch):
+    replayed = steps_of(physics, cone)
+
+    def plain(self, model, data, count):
+        for _ in range(count):
+            self.function(model, data)
+
+    monkeypatch.setattr(LaunchReplay, "run", plain)
+    for one, other in zip(replayed, steps_of(physics, cone), strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
