@@ -31,10 +31,10 @@ from usarmjx.sim.scene import build_scene
 
 EXACT = Physics(iterations=100, ls_iterations=30)
 """A converged solver: engines and batches differ by rounding only."""
-STEPS = 30
-"""Later a rear wheel lifts by some micrometres, and rounding decides when it touches again."""
-TOLERANCE = {"c": 1e-5, "jax": 5e-3, "warp": 5e-4}
-"""Of poses [m] and quaternions after 0.6 s up a ramp; on `jax` with a contact function of our own."""
+STEPS = 21
+"""From the 23rd on a rear wheel lifts by some micrometres, and rounding decides when it touches again."""
+TOLERANCE = {"c": 1e-5, "jax": 5e-3, "warp": 1e-5}
+"""Of poses [m] and quaternions after 0.42 s up a ramp; on `jax` with a contact function of our own."""
 P2AT = ROBOTS.get("P2AT")
 SEEING = replace(
     P2AT, cameras=(), sensors=(*P2AT.sensors[:2], *(m for m in P2AT.sensors if m.kind != "Sonar"))
@@ -142,7 +142,9 @@ def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
 
 def test_the_oracle_has_something_to_tell(solo):
     climbing, _ = solo[1]
-    assert climbing.physics.qpos[climbing.scene.groups[0].root_qposadr[0, 2]] > 0.265, "it is on the ramp"
+    assert climbing.physics.qpos[climbing.scene.groups[0].root_qposadr[0, 2]] > 0.2625, (
+        "its front wheels are on the ramp; it stands at 0.26"
+    )
     scans = []
     for lone, seen in solo:
         place = lone.scene.groups[0].suite.index("RangeScanner")
