@@ -13,6 +13,7 @@ from tests.arenas import FLAT
 from tests.handy import GRIPPER, TAGGER, known
 from tests.server import peers
 from usarmjx.base.parameters import Parameters
+from usarmjx.base.settings import SHARE
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import EFFECTERS, effecters_of
 from usarmjx.models.robots.pioneer import P2AT
@@ -45,6 +46,7 @@ FORMS = {
     # Those that no table has: the server itself carries them out (manual 10.9.3, KRobot.uc).
     **dict.fromkeys([("RFID", "Read"), ("RFID", "Write"), ("Camera", "Zoom")], Parameters(1, 1)),
     ("Joint", "Angle"): Parameters(0, 2),
+    ("Joint", "Stiffness"): Parameters(1, 1, SHARE),
 }
 """Form of the parameters of every opcode of every type."""
 OPCODES = sorted({opcode for _, opcode in FORMS} | {"", "Explode"})

@@ -344,7 +344,7 @@ class WorldRecorder:
 
 def _changed(leaves: list[np.ndarray], before: list[np.ndarray] | None, count: int) -> list[int]:
     """Return the robots of which any bit has changed; all, without former values."""
-    if before is None:
+    if before is None or len(before) != len(leaves):
         return [*range(count)]
     differs = np.zeros(count, bool)
     for new, old in zip(leaves, before, strict=True):

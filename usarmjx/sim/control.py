@@ -163,6 +163,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
         torque: Factor on what its motors can exert (); None: 1.
         speed: Factor on how fast they turn (); None: 1.
         hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
+        stiffness: Share of gains and torque that its joints' servos exert (actuators,); None: 1.
     """
 
     step: Array
@@ -171,6 +172,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     torque: Array | None = None
     speed: Array | None = None
     hold: Array | None = None
+    stiffness: Array | None = None
 
 
 class ActuatorInputs(struct.PyTreeNode, kw_only=True):
@@ -178,9 +180,9 @@ class ActuatorInputs(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         ctrl: Inputs of the pulling actuators: velocities of the servos' targets (actuators,).
-        hold: Inputs of the holding actuators: 1, or 0 where a joint exerts exactly the commanded torque
-            (actuators,).
-        act: Activations of the pulling ones: the servos' targets (actuators,).
+        hold: Inputs of the holding actuators: 1, the servo's stiffness, or 0 where a joint exerts exactly the
+            commanded torque (actuators,).
+        act: Activations of the pulling ones: the servos' targets, times their stiffness (actuators,).
         wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
         refused: Number of commanded values that were not finite ().
     """
@@ -375,7 +377,7 @@ def compute_actuation(
     setpoint = xp.where(powered, command.setpoint, 0.0)
     finite, sound = xp.isfinite(target), xp.isfinite(setpoint)
     target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
-    ctrl, hold, new_act = _servo(plan, (target, mode), state, act, period, conditions)
+    ctrl, hold, new_act = _soft_servo(plan, (target, mode), state, act, period, conditions)
     # Where the drive aims joints its setpoints are in their targets already, and would count twice.
     refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
     return ActuatorInputs(
@@ -443,6 +445,26 @@ def _tyre_wrench(plan: KinematicTree, drive: YieldingSkidSteer, setpoint: Array,
 def _scaled(values: Array, factor: Array | None) -> Array:
     """Return values of a robot's joints (..., actuators) times a factor of the robot (...,)."""
     return values if factor is None else values * factor[..., None]
+
+
+def _soft_servo(
+    plan: KinematicTree,
+    targets: tuple[Array, Array],
+    state: RobotState,
+    act: Array,
+    period: float,
+    conditions: DriveConditions,
+) -> tuple[Array, Array, Array]:
+    """As `_servo`, with the stiffness of its servos; torques that are ordered are exerted in full."""
+    share = conditions.stiffness
+    if share is None:
+        return _servo(plan, targets, state, act, period, conditions)
+    before = xp.ones_like(act) if conditions.hold is None else conditions.hold
+    act = xp.where(before > 0.0, act / xp.where(before > 0.0, before, 1.0), act)
+    servos = _servo(plan, targets, state, act, period, conditions)
+    share = xp.where(targets[1][..., plan.actuated] == ControlMode.TORQUE, 1.0, share)
+    ctrl, hold, ref = (one * share for one in servos)
+    return ctrl, hold, ref
 
 
 def _servo(

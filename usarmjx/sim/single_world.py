@@ -340,9 +340,7 @@ class SingleWorld:
         groups = robot_groups(self.engine.model, {slot: entry.spec for slot, entry in roster.items()})
         seats = tuple(roster.get(slot, EMPTY_SLOT) for slot in range(self._seats))
         self.scene = self.scene.with_robots(self.engine.model, seats, groups)
-        states = [
-            jax.tree.map(lambda *x: np.stack(x), *(rows[int(s)] for s in group.slots)) for group in groups
-        ]
+        states = [_stacked([rows[int(s)] for s in group.slots]) for group in groups]
         self.world = self.world.replace(groups=tuple(states))
         self._subscenes = {}
         self._indices = {int(s): i for g in groups for s, i in zip(g.slots, g.indices, strict=True)}
@@ -448,7 +446,17 @@ class SingleWorld:
     def edit(self, slot: int, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of a robot's state."""
         group, member = self.scene.group_of(slot)
+        if "stiffness" in fields:
+            state = self.world.groups[group]
+            self.world = self.world.with_group(group, state.replace(stiffness=_stiffness_of(state)))
         self._replace_members(group, member, **fields)
+
+    def set_stiffness(self, slot: int, joint: int, share: float) -> None:
+        """Set the share of its gains and torque that the servo of a joint, by index, exerts: 0 to 1."""
+        group, member = self.scene.group_of(slot)
+        stiffness = _stiffness_of(self.world.groups[group])[member].copy()
+        stiffness[self.scene.groups[group].plan.actuated == joint] = share
+        self.edit(slot, stiffness=stiffness)
 
     @numpy_backend()
     def sensor_input(self, slot: int) -> SensorInput:
@@ -533,6 +541,20 @@ class SingleWorld:
     def render_scene(self) -> RenderScene:
         """Return all that cameras see; NumPy's arrays."""
         return build_render_scene(self.scene, self.world, self.physics)[0]
+
+
+def _stiffness_of(state: GroupState) -> np.ndarray:
+    """Return the stiffness of the servos of one robot or several; see `GroupState`."""
+    if state.stiffness is None:
+        return np.ones(np.shape(state.hold), np.float32)
+    return np.asarray(state.stiffness)
+
+
+def _stacked(rows: Sequence[GroupState]) -> GroupState:
+    """Return the state of several robots, of their states."""
+    if any(row.stiffness is not None for row in rows):
+        rows = [row.replace(stiffness=_stiffness_of(row)) for row in rows]
+    return jax.tree.map(lambda *x: np.stack(x), *rows)
 
 
 def _row(tree: Any, index: Any) -> Any:  # noqa: ANN401 - a PyTree and what indexes its leading axes

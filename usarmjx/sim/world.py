@@ -102,6 +102,7 @@ class GroupState(struct.PyTreeNode, kw_only=True):
         battery_start: Control step at which its battery was full (n,).
         drowned: Whether water has killed its battery (n,).
         hold: Inputs that their holding actuators had in the last control step (n, actuators).
+        stiffness: Share of their gains and torque that their servos exert (n, actuators); None: all.
         releases: Stock of each of their effecters (n, effecters).
         memory: Memory of their sensors (n, ...).
         fov: Horizontal field of view of each of their cameras [rad] (n, cameras).
@@ -117,6 +118,7 @@ class GroupState(struct.PyTreeNode, kw_only=True):
     memory: SensorMemory
     fov: Array
     command_history: CommandHistory | None = None
+    stiffness: Array | None = None
 
 
 class FaultCounts(struct.PyTreeNode, kw_only=True):
@@ -337,7 +339,8 @@ def compute_inputs(
         awake = powered(scene, world, group, state)
         factors = {name: _group_values(world, group, name) for name in ("torque", "speed")}
         step = xp.broadcast_to(clock.step, awake.shape)
-        now = DriveConditions(step=step, powered=awake, depth=depth, hold=state.hold, **factors)
+        own = {"hold": state.hold, "stiffness": state.stiffness, **factors}
+        now = DriveConditions(step=step, powered=awake, depth=depth, **own)
         command, state = _delayed_command(world, group, state)
 
         driven = compute_actuation(

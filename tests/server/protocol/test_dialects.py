@@ -10,7 +10,15 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.sensors import geometry
-from usarmjx.server.protocol.commands import DriveRobot, GetConf, Init, LinkCommand, MisPkg, SetJoint
+from usarmjx.server.protocol.commands import (
+    DriveRobot,
+    GetConf,
+    Init,
+    LinkCommand,
+    MisPkg,
+    SetJoint,
+    SetStiffness,
+)
 from usarmjx.server.protocol.dialects import DIALECTS, MANUAL, UDK, find_dialect
 from usarmjx.server.protocol.grammar import format_message, parse_message
 from usarmjx.server.protocol.reports import nfo_greeting
@@ -127,6 +135,7 @@ ASKED = [
     ("GETCONF {Type Gripper}", GetConf("Gripper")),
     ("SET {Type Joint} {Name Arm} {Opcode Target} {Params 0.5}", SetJoint("Arm", 0, 0.5, None)),
     ("SET {Type Joint} {Name Arm} {Opcode Angle} {Params 0.5}", SetJoint("Arm", 0, 0.5, None)),
+    ("SET {Type Joint} {Name Arm} {Opcode Stiffness} {Params 0.5}", SetStiffness("Arm", 0.5)),
     ("Drive {Left 1.0} {Right 1.0}", DriveRobot((("Left", 1.0), ("Right", 1.0)))),
 ]
 

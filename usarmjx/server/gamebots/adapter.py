@@ -46,7 +46,7 @@ RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: Contro
 """Orders of the wire that add to the present position, or to the speed or torque in force (KRobot.uc)."""
 MOTION_COMMANDS = (
     *(wire.DriveRobot, wire.DriveWheels, wire.DriveJoint, wire.MultiDrive),
-    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov, wire.TurnCamera),
+    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetStiffness, wire.SetFov, wire.TurnCamera),
 )
 """Commands that are ignored while a user of the page drives the client's robot."""
 CONTROLLER_COMMANDS = (wire.Control, wire.GetStartPoses, wire.SetView)
@@ -120,6 +120,7 @@ class Client:
             wire.DriveJoint: self._drive_joint,
             wire.MultiDrive: self._drive_joints,
             wire.SetJoint: self._set_joint,
+            wire.SetStiffness: self._set_stiffness,
             wire.InvalidSet: self._refuse_set,
             wire.MisPkg: self._move_package,
             wire.Set: self._set,
@@ -322,6 +323,20 @@ class Client:
         # A joint that moves is not answered (KRobot.uc); without an answer to what failed none could tell.
         if not self.battery_empty and not self._drive_joint(command):
             self.session.send(reports.res(self._world.time, "Joint", command.name, STATUS_FAILED))
+
+    def _set_stiffness(self, command: wire.SetStiffness) -> None:
+        robot, name = self._present, command.name
+        if self.battery_empty:
+            return
+        try:
+            joint = robot.plan.joint_index(name)
+            part = None if joint is None else parts_of(robot.spec)[joint]
+            if joint is None or part is None or part.motor is None or part.is_wheel:
+                raise PeerError(f"{robot.spec.name} has no joint {clip(name)} with a servo that holds it")
+            self._world.set_stiffness(robot, joint, command.share)
+        except (PeerError, UsageError) as error:
+            self.session.add_fault(str(error))
+            self.session.send(reports.res(self._world.time, "Joint", name, STATUS_FAILED))
 
     def _drive_joints(self, command: wire.MultiDrive) -> None:
         # One update for all joints: a gait sends a dozen in each control step, and a client's time is short.

@@ -12,6 +12,7 @@ from typing import TypeAlias
 from usarmjx.base.errors import PeerError
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import Registry
+from usarmjx.base.settings import SHARE
 from usarmjx.server.protocol.arguments import check_arguments, read_parameters
 from usarmjx.server.protocol.commands import (
     DRIVE_KEYS,
@@ -33,6 +34,7 @@ from usarmjx.server.protocol.commands import (
     Set,
     SetFov,
     SetJoint,
+    SetStiffness,
     SetView,
     SetViewports,
     Trace,
@@ -59,6 +61,7 @@ _LINK_KEYS = ("link", "value", "order")
 _OPCODES = {"angle": 0, "velocity": 1, "torque": 2, "relangle": 10, "relvelocity": 11, "reltorque": 12}
 _JOINT_ORDERS = _OPCODES | {str(order): order for order in _OPCODES.values()}
 _JOINT_PARAMETERS = Parameters(0, 2)
+_STIFFNESS_PARAMETERS = Parameters(1, 1, SHARE)
 _VIEWPORTS = ("Viewport1", "Viewport2", "Viewport3", "Viewport4")
 MOST_COMPONENTS = 4
 """Most numbers of a location or rotation; six are three with decimal commas."""
@@ -273,9 +276,13 @@ def _set_joint(message: Message) -> Command | Ignored:
     name, opcode = message.get("Name"), message.get("Opcode")
     if not name:
         return Ignored("SET of a joint without a Name")
+    if opcode.lower() == "stiffness":
+        (share,) = read_parameters(message.get("Params"), _STIFFNESS_PARAMETERS)
+        return SetStiffness(name, share)
     order = _JOINT_ORDERS.get(opcode.lower())
     if order is None:
-        return Ignored(f"SET of a joint with the opcode {clip(opcode)}; known: {', '.join(_JOINT_ORDERS)}")
+        known = ", ".join([*_JOINT_ORDERS, "stiffness"])
+        return Ignored(f"SET of a joint with the opcode {clip(opcode)}; known: {known}")
     value, *more = read_parameters(message.get("Params"), _JOINT_PARAMETERS) or (0.0,)
     return SetJoint(name, order, value, more[0] if more else None)
 

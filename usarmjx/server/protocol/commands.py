@@ -178,6 +178,19 @@ class SetJoint:
 
 
 @dataclass(frozen=True, slots=True)
+class SetStiffness:
+    """Soften a joint's servo by SET; as `SetJoint`, it has no answer if it succeeds (LeggedRobot.uc).
+
+    Attributes:
+        name: Name of the joint, as the client spelled it.
+        share: Share of the servo's gains and torque, 0 to 1.
+    """
+
+    name: str
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
 class SetFov:
     """Zoom cameras: (name as spelled, field of view [rad]) in the client's order.
 
@@ -361,6 +374,7 @@ Command: TypeAlias = (
     | MisPkg
     | Set
     | SetJoint
+    | SetStiffness
     | InvalidSet
     | SetFov
     | SetViewports

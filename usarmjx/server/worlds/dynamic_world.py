@@ -27,7 +27,7 @@ from usarmjx.sim.configure import update_robot_spec
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
-from usarmjx.sim.world import World
+from usarmjx.sim.world import GroupState, World
 
 log = logging.getLogger(__name__)
 
@@ -151,6 +151,10 @@ class DynamicWorld(ServedWorld):
         if self.recorder is not None:
             self.recorder.placed(robot.slot, np.array(pos), quat)
 
+    def set_stiffness(self, robot: Robot, joint: int, share: float) -> None:
+        """Set how stiff a joint's servo is."""
+        self._single.set_stiffness(robot.slot, joint, share)
+
     def move_loose(self, index: int, pos: Vec3, quat: np.ndarray) -> None:
         """Put a loose object at a pose, at rest."""
         self._single.move_loose(index, pos, quat)
@@ -173,9 +177,7 @@ class DynamicWorld(ServedWorld):
         """Advance by one control step; robots that diverge return to their spawn poses."""
         self.advance_objects()
         if self.recorder is not None:
-            self.recorder.record_orders(
-                self.scene, [{"command": one.command} for one in self._single.world.groups]
-            )
+            self.recorder.record_orders(self.scene, [_orders(one) for one in self._single.world.groups])
         put_back = self._single.step()
         record_step(self, self._single.engine.data)
         if put_back:
@@ -224,3 +226,9 @@ class DynamicWorld(ServedWorld):
             return compiled
         sight = self._single.sight()
         return lambda: [sight.render(scene, *view) for view in views]
+
+
+def _orders(state: GroupState) -> dict[str, Any]:
+    """Return the fields of robots' states that clients set between control steps, to be recorded."""
+    soft = {} if state.stiffness is None else {"stiffness": state.stiffness}
+    return {"command": state.command, **soft}

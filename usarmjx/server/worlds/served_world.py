@@ -409,6 +409,15 @@ class ServedWorld(ABC):
         del pos, quat
         raise UsageError(f"{robot.name} stays: only a single world of engine c moves things")
 
+    def set_stiffness(self, robot: Robot, joint: int, share: float) -> None:
+        """Set the share of its gains and torque that the servo of a joint exerts: 0 to 1.
+
+        Raises:
+            UsageError: The world cannot do that.
+        """
+        del joint, share
+        raise UsageError(f"{robot.name} keeps its gains: only in a single world of engine c do they change")
+
     def move_loose(self, index: int, pos: Vec3, quat: np.ndarray) -> None:
         """Put a loose object of the arena, by its index, at a pose, at rest; see `move_robot`."""
         del pos, quat
