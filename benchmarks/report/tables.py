@@ -8,6 +8,7 @@ from benchmarks.report.records import BenchRecord
 from benchmarks.serving.clients import rows as figure_rows
 from usarmjx.base.markdown import markdown_table
 from usarmjx.plots.training_plots import fields_of_record
+from usarmjx.train.task_names import recorded_name
 
 NOTHING = "No record yet.\n"
 MILLION, BILLION = 1e6, 1e9
@@ -197,7 +198,7 @@ def train_table(records: Sequence[BenchRecord]) -> str:
 
     def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
         yield [
-            ", ".join(filter(None, [record.data["task"], fields_of_record(record.data)])),
+            ", ".join(filter(None, [recorded_name(record.data["task"]), fields_of_record(record.data)])),
             record.data["engine"],
             str(record.data["worlds"]),
             str(record.data.get("processes", 1)),
@@ -323,7 +324,7 @@ def sweep_table(records: Sequence[BenchRecord]) -> str:
             number(data["compile_s"]),
             number(rates["agent_steps"]["rate"] if "agent_steps" in rates else None),
             "; ".join(
-                f"{row['task']}, {row['policy']}: {number(row['score'])} "
+                f"{recorded_name(row['task'])}, {row['policy']}: {number(row['score'])} "
                 f"({number(row['low'])} to {number(row['high'])})"
                 for row in data["scores"]
             ),

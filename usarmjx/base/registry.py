@@ -1,4 +1,7 @@
-"""Registry of named entries: explicit `add`, names matched without case as in USARSim."""
+"""Registry of named entries: explicit `add`, names matched without case as in USARSim.
+
+A bare name of versions, as `dig` of `dig-v1` and `dig-v2`, stands for the newest.
+"""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -8,6 +11,7 @@ from typing import Generic, TypeVar
 from usarmjx.base.errors import UnknownNameError, UsageError
 
 _NAME = re.compile(r"[!-z|~]+")
+_VERSION = re.compile(r"(.+)-v(\d+)")
 T = TypeVar("T")
 
 
@@ -30,15 +34,29 @@ def closest(name: str, known: Iterable[str]) -> str:
     return next((f"; did you mean {one!r}?" for one in candidates if [one.lower()] == near), "")
 
 
+def version_of(name: str) -> tuple[str, int]:
+    """Return the bare name and the number of a version, as of `dig-v2`; 0: the name has none."""
+    match = _VERSION.fullmatch(name)
+    return (match[1], int(match[2])) if match else (name, 0)
+
+
+def newest_versions(names: Iterable[str]) -> dict[str, str]:
+    """Return the name of the newest version by bare names in lower case that are no names themselves."""
+    known = sorted(names, key=lambda name: version_of(name)[1])
+    found = {version_of(name)[0].lower(): name for name in known if version_of(name)[1]}
+    return {bare: name for bare, name in found.items() if bare not in {one.lower() for one in known}}
+
+
 class Registry(Generic[T]):
     """Table of named entries that refuses duplicates and lists its names.
 
     Args:
         kind: Noun for the entries in error messages ("robot", "sensor").
+        versioned: Whether `dig`, unless it is an entry itself, stands for the newest of `dig-v1`, `dig-v2`.
     """
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(self, kind: str, *, versioned: bool = False) -> None:
+        self.kind, self.versioned = kind, versioned
         self._entries: dict[str, tuple[str, T]] = {}
         self._aliases: dict[str, str] = {}
 
@@ -58,7 +76,7 @@ class Registry(Generic[T]):
 
     def replace(self, name: str, entry: T) -> T:
         """Register `entry` under a name, replacing the entry of that name or alias if there is one."""
-        key = self._aliases.get(name.lower(), name.lower())
+        key = self._key(name)
         spelt = self._entries[key][0] if key in self._entries else name
         self._entries[key] = (spelt, entry)
         return entry
@@ -69,11 +87,29 @@ class Registry(Generic[T]):
         Raises:
             UnknownNameError: No such name; the message lists the registered ones.
         """
+        return self._entry(name)[1]
+
+    def full_name(self, name: str) -> str:
+        """Return the registered name that a name, an alias or a bare name stands for, as it was spelt.
+
+        Raises:
+            UnknownNameError: No such name; the message lists the registered ones.
+        """
+        return self._entry(name)[0]
+
+    def _entry(self, name: str) -> tuple[str, T]:
+        key = self._key(name)
+        if key not in self._entries:
+            raise UnknownNameError(unknown_name(self.kind, name, self.names(), self.aliases()))
+        return self._entries[key]
+
+    def _key(self, name: str) -> str:
         key = name.lower()
         key = self._aliases.get(key, key)
-        if key not in self._entries:
-            raise UnknownNameError(unknown_name(self.kind, name, self.names(), self._aliases))
-        return self._entries[key][1]
+        return key if key in self._entries else self._newest().get(key, key).lower()
+
+    def _newest(self) -> dict[str, str]:
+        return newest_versions(self.names()) if self.versioned else {}
 
     def find(self, name: str) -> T | None:
         """Return the entry of a name or alias, case ignored; None: no such name."""
@@ -84,8 +120,8 @@ class Registry(Generic[T]):
         return sorted((name for name, _ in self._entries.values()), key=str.lower)
 
     def aliases(self) -> list[str]:
-        """Return the aliases, in lower case."""
-        return list(self._aliases)
+        """Return the aliases and the bare names of versions, in lower case."""
+        return [*self._aliases, *self._newest()]
 
     def discard(self, name: str) -> None:
         """Remove the entry of a name, case ignored, if there is one."""
@@ -93,7 +129,7 @@ class Registry(Generic[T]):
 
     def copy(self) -> "Registry[T]":
         """Return a registry of the same entries and aliases."""
-        other: Registry[T] = Registry(self.kind)
+        other: Registry[T] = Registry(self.kind, versioned=self.versioned)
         other._entries, other._aliases = dict(self._entries), dict(self._aliases)
         return other
 
@@ -103,7 +139,7 @@ class Registry(Generic[T]):
 
     def __contains__(self, name: str) -> bool:
         """Return whether a name or alias is registered, case ignored."""
-        return name.lower() in self._entries or name.lower() in self._aliases
+        return self._key(name) in self._entries
 
     def __iter__(self) -> Iterator[tuple[str, T]]:
         """Iterate over (name, entry), sorted by name, case ignored."""

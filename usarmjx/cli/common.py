@@ -14,7 +14,7 @@ from usarmjx.base.files import disk_error
 from usarmjx.base.settings import RenamedSettingWarning
 from usarmjx.base.status_line import clear_status
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
-from usarmjx.cli.known_names import check_name, check_roster
+from usarmjx.cli.known_names import check_name, check_roster, full_name
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 """Exit codes beside 0: what was tried did not come out well; it could not be tried as asked for; Ctrl-C."""
@@ -105,7 +105,8 @@ def named_roster(ctx: typer.Context, value: Any) -> Any:  # noqa: ANN401 - a ros
 def named(kind: str) -> Callable[[typer.Context, Any], Any]:
     """Return a callback of options and arguments that refuses names which there are not.
 
-    It works while the command line is parsed, before the command imports anything.
+    It works while the command line is parsed, before the command imports anything. A bare name becomes that
+    of the newest version.
 
     Args:
         kind: Kind of the names, see `known_names.REGISTRIES`.
@@ -116,7 +117,7 @@ def named(kind: str) -> Callable[[typer.Context, Any], Any]:
             for name in [value] if isinstance(value, str) else value or ():
                 if not ctx.resilient_parsing:
                     check_name(kind, name)
-        return value
+        return full_name(kind, value) if isinstance(value, str) else value
 
     return check
 

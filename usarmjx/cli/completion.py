@@ -42,11 +42,12 @@ def registered_names() -> dict[str, list[str]]:
     from usarmjx.train.policies import POLICIES
     from usarmjx.train.tasks import TASKS
 
+    bare = TASKS.aliases()
     return {
         "arenas": [*ARENAS.names(), *(alias for _, arena in ARENAS for alias in arena.aliases)],
         "robots": ROBOTS.names(),
-        "tasks": TASKS.names(),
-        "policies": POLICIES.names(),
+        "tasks": sorted([*TASKS.names(), *bare]),
+        "policies": sorted([*POLICIES.names(), *(one for one in bare if TASKS.full_name(one) in POLICIES)]),
         "engines": ["auto", *ENGINES.names()],
         "kinds": KINDS.names(),
     }

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from usarmjx.server.worlds.policy_world import PolicyWorld
 
 
-TASK, ARENA = "explore", "yellow"
+TASK, ARENA = "explore-v1", "yellow"
 STARTS = ("Start26", "Start43", "Start39", "Start14")
 """Start poses of the team, in different parts of the arena."""
 EPISODE_STEPS = 600

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.files import atomic_write
-from usarmjx.base.registry import Registry, unknown_name
+from usarmjx.base.registry import Registry, newest_versions, unknown_name
 from usarmjx.models.files.resources import search_path
 from usarmjx.train.policies import POLICIES, no_policy
 
@@ -38,6 +38,8 @@ FROM_FILES = {"arena": "arena files", "robot": "robot files"}
 """Kinds whose values files may have, and the entry of the table with the files' suffixes."""
 IN_FILES = {"arena": "arena", "engine": "engine", "task": "task"}
 """Keys of a sweep's file whose values are names, and their kinds."""
+VERSIONED = ("task", "baseline")
+"""Kinds of names of which some have versions."""
 AUTO = "auto"
 """Name of no engine: the best one for a purpose."""
 AGENTS = ("zero", "random")
@@ -94,6 +96,15 @@ def check_name(kind: str, name: str) -> None:
     raise UnknownNameError(f"{refusal}; or a file: {', '.join(files)}" if files else refusal)
 
 
+def full_name(kind: str, name: str) -> str:
+    """Return the name of the newest version for a bare name of tasks or baselines; others as they are."""
+    module, attribute = REGISTRIES[kind]
+    if loaded := sys.modules.get(module):
+        registry: Registry[object] = getattr(loaded, attribute)
+        return registry.full_name(name) if registry.versioned and name in registry else name
+    return newest_versions(table()[kind]).get(name.lower(), name) if kind in VERSIONED else name
+
+
 def _may_be_new(kind: str, name: str) -> bool:
     """Return whether a file, a program or a source that is newer than the table may have a name."""
     if kind in FROM_FILES and (Path(name).suffix or Path(name).is_file()):
@@ -138,11 +149,12 @@ def check_policy(policy: str, words: Sequence[str] = ()) -> None:
     Raises:
         UnknownNameError: There is nothing of that name; gives the closest one and all.
     """
-    if Path(policy).exists() or ".py:" in policy or policy in POLICIES or policy in words:
+    name = full_name("task", policy)
+    if Path(policy).exists() or ".py:" in policy or name in POLICIES or policy in words:
         return
     if "=" not in policy:
         teams = f"{policy} is none of the teams {', '.join(words)}; " if words else ""
-        raise UnknownNameError(teams + no_policy(policy, POLICIES, words))
+        raise UnknownNameError(teams + no_policy(name, POLICIES, words))
     for part in policy.split(","):
         if source := part.partition("=")[2].strip():
             check_policy(source)
@@ -165,9 +177,10 @@ def check_run(run: str) -> None:
     file, own, _ = run.rpartition(".py:")
     if own and "{task}" not in file and not Path(f"{file}.py").is_file():
         raise UsageError(f"{file}.py: there is no such file")
-    known = run in RUN_WORDS or run in POLICIES or Path(run).exists()
+    name = full_name("task", run)
+    known = run in RUN_WORDS or name in POLICIES or Path(run).exists()
     if not (known or own or "{task}" in run or (kind in RUN_KINDS and value)):
-        raise UnknownNameError(no_policy(run, POLICIES, RUN_WORDS))
+        raise UnknownNameError(no_policy(name, POLICIES, RUN_WORDS))
 
 
 def check_file(found: "FileValue") -> None:

@@ -117,7 +117,7 @@ def tasks() -> Listing:
     return Listing(
         columns=("task", "description", "steps", "policies"),
         rows=rows,
-        title="Tasks: usarmjx train TASK",
+        title="Tasks: usarmjx train TASK; a name without -v1, -v2, ... is that of the newest version",
     )
 
 

@@ -86,10 +86,10 @@ def settings_help(names: Sequence[str]) -> str:
     """Return the settings of the training and the fields of the first task among some words; else nothing."""
     from usarmjx.train.learning.config import Config, task_config
     from usarmjx.train.make import make_task
-    from usarmjx.train.task_names import is_own
+    from usarmjx.train.task_names import is_own, newest_name
     from usarmjx.train.tasks import TASKS
 
-    task = next((name for name in names if is_own(name) or name in TASKS), None)
+    task = next((newest_name(name) for name in names if is_own(name) or name in TASKS), None)
     if task is None:
         return ""
     found = make_task(task)

@@ -30,7 +30,7 @@ from usarmjx.plots.style import (
 from usarmjx.train.learning.config import overridden_fields
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.run_record import load_record
-from usarmjx.train.policies import VERSIONS
+from usarmjx.train.task_names import recorded_name
 
 MEAN, BASELINE = "mean of the runs", "baseline"
 """Names in the legend."""
@@ -98,7 +98,7 @@ def fields_of_record(record: Mapping[str, Any]) -> str:
     """Return the overridden fields of the task in a benchmark record; the oldest have words for them."""
     settings = record.get("settings", {})
     fields: dict[str, Any] = settings.get("task", {}) if is_mapping(settings) else {}
-    return overridden_fields(record["task"], record.get("engine", ""), fields)
+    return overridden_fields(recorded_name(record["task"]), record.get("engine", ""), fields)
 
 
 def curve_of_record(record: dict[str, Any]) -> Curve:
@@ -107,10 +107,10 @@ def curve_of_record(record: dict[str, Any]) -> Curve:
     Rows of its `curve` are agent steps and score, and time [s] if that was written down; if not, it is
     reckoned with the record's `agent_steps_per_s`.
     """
-    rows, task = np.array(record["curve"], float), str(record["task"])
+    rows, task = np.array(record["curve"], float), recorded_name(str(record["task"]))
     seconds = rows[:, 2] if rows.shape[1] > 2 else rows[:, 0] / record["agent_steps_per_s"]
     return Curve(
-        task=VERSIONS.get(task, task),
+        task=task,
         seed=record["seed"],
         worlds=record["worlds"],
         steps=rows[:, 0],
@@ -141,7 +141,7 @@ def curve_of_run(folder: Path) -> Curve:
         raise UsageError(f"no episode has ended yet in the run in {folder}")
     seconds = np.cumsum(np.diff(steps, prepend=0.0) / rates)
     return Curve(
-        task=VERSIONS.get(settings.task, settings.task),
+        task=settings.task,
         seed=config.seed,
         worlds=config.num_worlds,
         steps=steps[there],

@@ -23,15 +23,18 @@ from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import PACKAGES, versions
 from usarmjx.sweeps.drivers import argument_of, script_of
 from usarmjx.sweeps.resolve import Resolved, resolve
-from usarmjx.sweeps.spec import EARLIER_POLICIES, CellSettings, rename_policy
+from usarmjx.sweeps.spec import EARLIER_POLICIES, CellSettings, rename_policy, rename_tasks
 from usarmjx.train.envs.recipe import resolve_arenas, spec_of
 from usarmjx.train.make import file_of
+from usarmjx.train.task_names import RECORDED, newest_name
 
 KEY_FORMAT = 2
 """Another number stands for other rules of what a cell plays: no result of earlier rules is found."""
 KEY_LENGTH = 20
 KEY_POLICIES = {name: earlier for earlier, name in EARLIER_POLICIES.items()}
 """Names of policies in keys, which are the earlier ones: results keep their keys."""
+KEY_TASKS = {name: earlier for earlier, name in RECORDED.items()}
+"""Names of tasks in keys, likewise."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,12 @@ class KnownDigests:
     )
 
 
+def key_name(task: str) -> str:
+    """Return the name of a task in keys."""
+    full = newest_name(task)
+    return KEY_TASKS.get(full, full)
+
+
 def key_of(settings: CellSettings, cell: Resolved | None = None, known: KnownDigests | None = None) -> str:
     """Return the name of a cell's result: a hash of its settings and of the contents of all that it reads.
 
@@ -61,7 +70,7 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: KnownDig
         UsageError: See `resolve`.
     """
     cell = resolve(settings) if cell is None else cell
-    own = {name: value for name, value in settings.items() if name != "method"}
+    own = rename_tasks({name: value for name, value in settings.items() if name != "method"}, key_name)
     own["policy"] = rename_policy(own["policy"], KEY_POLICIES)
     contents = cell_contents(cell, KnownDigests() if known is None else known)
     text = json.dumps([KEY_FORMAT, own, contents], sort_keys=True, default=str)

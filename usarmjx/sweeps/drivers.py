@@ -17,7 +17,7 @@ from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.own_policy import check_own_policy, own_policy, split_own_policy
 from usarmjx.train.policies.sources import PolicySource, load_policy
-from usarmjx.train.task_names import is_own
+from usarmjx.train.task_names import is_own, newest_name, policy_name
 
 BASELINE, PACKAGED, RANDOM = "baseline", "packaged", "random"
 KINDS = ("baseline", "run", "file", "python", "client")
@@ -51,6 +51,12 @@ def parse_policy(text: str) -> str | dict[str, str]:
     """Return a sweep's setting `policy` of a run: with `client:`, `baseline:` or `run:` a mapping."""
     kind, colon, rest = text.partition(":")
     return {kind: rest} if colon and kind in PREFIXES and rest else text
+
+
+def rename_run(run: str, rename: Callable[[str], str] = newest_name) -> str:
+    """Return a method's run with the full name of a task that it names."""
+    kind, colon, rest = run.partition(":")
+    return f"{kind}:{rename(rest)}" if colon and kind == BASELINE else policy_name(run, rename)
 
 
 def policy_of_run(run: str, task: str) -> str | dict[str, str]:
@@ -103,6 +109,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
         UsageError: There is none, or it is broken.
     """
     kind, what, more = _said(policy)
+    task = newest_name(task)
     if kind == "client":
         speed = more.get("speed", 1.0)
         if isinstance(speed, bool) or not isinstance(speed, int | float) or speed <= 0:

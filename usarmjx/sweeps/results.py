@@ -5,7 +5,7 @@ import platform
 import re
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,10 @@ from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.settings import default_reader
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.contents import policy_digest
-from usarmjx.sweeps.drivers import find_driver, policy_of_run, script_of
+from usarmjx.sweeps.drivers import find_driver, policy_of_run, rename_run, script_of
+from usarmjx.sweeps.spec import rename_keys, rename_tasks
 from usarmjx.sweeps.store import CellRecord
+from usarmjx.train.task_names import recorded_name
 
 FORMAT = 1
 MOST_RESULT_BYTES = 64_000_000
@@ -108,7 +110,13 @@ def read_result(file: Path) -> RunResult:
     content = read_kept(file, most=MOST_RESULT_BYTES)
     if content.pop("format", None) != FORMAT:
         raise UsageError(f"{file}: is no results file of this version (format {FORMAT})")
-    result = default_reader().from_data(RunResult, content, where=str(file))
+    found = default_reader().from_data(RunResult, content, where=str(file))
+    result = replace(
+        found,
+        run=rename_run(found.run, recorded_name),
+        policies=rename_keys(found.policies, recorded_name),
+        cells=tuple(replace(one, settings=rename_tasks(one.settings, recorded_name)) for one in found.cells),
+    )
     for number, one in enumerate(result.cells, 1):
         if fault := _fault(one):
             raise UsageError(f"{file}: cell {number}: {fault}")

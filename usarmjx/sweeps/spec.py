@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -24,6 +24,7 @@ from usarmjx.base.settings import (
 )
 from usarmjx.base.settings.files import shown
 from usarmjx.base.type_guards import is_list, is_mapping, is_tuple
+from usarmjx.train.task_names import newest_name, policy_name
 
 FIELDS = "fields"
 """`fields.NAME` sets any other field of the task."""
@@ -97,6 +98,33 @@ def rename_policy(policy: Any, names: Mapping[str, str] = EARLIER_POLICIES) -> A
     if is_mapping(policy):
         return {names.get(key, key): value for key, value in policy.items()}
     return names.get(policy, policy) if isinstance(policy, str) else policy
+
+
+def rename_tasks(settings: CellSettings, rename: Callable[[str], str]) -> dict[str, Any]:
+    """Return a cell's settings with other names of its task, and of tasks that `policy` names.
+
+    Args:
+        settings: The settings.
+        rename: Returns the other name of a task.
+    """
+    found = dict(settings)
+    if isinstance(task := found.get("task"), str):
+        found["task"] = rename(task)
+    if is_mapping(policy := found.get("policy")):
+        found["policy"] = {
+            kind: policy_name(value, rename)
+            if kind in ("baseline", "file") and isinstance(value, str)
+            else value
+            for kind, value in policy.items()
+        }
+    elif isinstance(policy, str):
+        found["policy"] = policy_name(policy, rename)
+    return found
+
+
+def rename_keys(scores: Any, rename: Callable[[str], str]) -> Any:  # noqa: ANN401 - a name stays
+    """Return scores by task with other names of the tasks; anything else as it is."""
+    return {rename(task): score for task, score in scores.items()} if is_mapping(scores) else scores
 
 
 @cache
@@ -178,7 +206,7 @@ def check_key(key: str, where: str) -> None:
 
 
 def complete(settings: CellSettings, where: str) -> dict[str, Any]:
-    """Return the settings with the defaults for those that are not given, in the order of their names.
+    """Return the settings with defaults and full names of tasks, in the order of their names.
 
     Raises:
         UsageError: No task, or a value that is not allowed; names its limits.
@@ -187,7 +215,7 @@ def complete(settings: CellSettings, where: str) -> dict[str, Any]:
     whole = {name: value for name, value in full.items() if name in NAMES}
     default_reader().values(Cell, whole, where=where)
     full["policy"] = rename_policy(full["policy"])
-    return dict(sorted(full.items()))
+    return dict(sorted(rename_tasks(full, newest_name).items()))
 
 
 def as_text(value: object) -> str:
@@ -388,7 +416,7 @@ def _anchors(given: object) -> dict[str, Any]:
     if _is_empty(given):
         return {}
     found = default_reader().from_data(Anchors, given, where="normalise")
-    return {name: one if isinstance(one, str) else dict(one) for name, one in vars(found).items()}
+    return {name: rename_keys(one, newest_name) for name, one in vars(found).items()}
 
 
 def _joined(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

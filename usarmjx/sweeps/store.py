@@ -9,7 +9,7 @@ import logging
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write, writing
 from usarmjx.base.kept_json import NotWholeError, kept_text, read_kept
 from usarmjx.base.settings import default_reader
-from usarmjx.sweeps.spec import rename_policy
+from usarmjx.sweeps.spec import rename_keys, rename_policy, rename_tasks
+from usarmjx.train.task_names import recorded_name
 
 log = logging.getLogger(__name__)
 
@@ -200,6 +201,7 @@ def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
         record = CellRecord(**{**content, **numbers})
         if "policy" in record.settings.keys():  # noqa: SIM118 - a mapping, or none that is whole
             record.settings["policy"] = rename_policy(record.settings["policy"])
+        record = replace(record, settings=rename_tasks(record.settings, recorded_name))
         rows: list[tuple[Any, ...]] = [record.steps, record.bad, *record.metrics.values()]
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise NotWholeError(f"{file}: is no result of a cell: {error!r}"[:300]) from error
@@ -229,6 +231,6 @@ def read_sweep(folder: Path) -> StoredSweep:
         axes=file.axes,
         keys=file.cells,
         sampled=file.sampled,
-        normalise=file.normalise,
+        normalise={name: rename_keys(one, recorded_name) for name, one in file.normalise.items()},
         records=tuple(one for one in found if one is not None),
     )

@@ -15,13 +15,16 @@ from typing import Annotated, Any, TextIO
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import Setting, default_reader, read_file
-from usarmjx.sweeps.drivers import policy_of_run
+from usarmjx.base.type_guards import is_list, is_mapping
+from usarmjx.sweeps.contents import key_name
+from usarmjx.sweeps.drivers import policy_of_run, rename_run
 from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.results import RunResult, provenance, run_digest
 from usarmjx.sweeps.run import run_sweep
-from usarmjx.sweeps.spec import SPLITS_OF_SUITES, SweepSpec, read_spec
+from usarmjx.sweeps.spec import SPLITS_OF_SUITES, SweepSpec, read_spec, rename_keys
 from usarmjx.sweeps.store import CellRecord
 from usarmjx.sweeps.workers import Workers
+from usarmjx.train.task_names import newest_name
 
 USUAL_SUITE = "teams-v1"
 
@@ -99,7 +102,7 @@ class BenchmarkSuite:
                 **(file.common or {}),
                 "episodes": episodes,
                 "split": split,
-                "method": {"name": method, "runs": [*runs]},
+                "method": {"name": method, "runs": [rename_run(run) for run in runs]},
             },
         }
         data |= {name: one for name in ("product", "list") if (one := getattr(file, name))}
@@ -121,12 +124,22 @@ def load_suite(path: Path) -> BenchmarkSuite:
         UsageError: It cannot be read, or something in it is not allowed; names file, line, key and limits.
     """
     given = read_file(path)
-    text = json.dumps(given.plain(), sort_keys=True, default=str)
-    file = default_reader().from_data(SuiteFile, given)
     plain: dict[str, Any] = given.plain()
+    text = json.dumps(_with_key_names(plain), sort_keys=True, default=str)
+    file = default_reader().from_data(SuiteFile, given)
+    file = replace(file, **{name: rename_keys(getattr(file, name), newest_name) for name in ("zero", "one")})
     parts = {name: plain.get(name) for name in ("common", "product", "list")}
     digest = hashlib.sha256(text.encode()).hexdigest()[:12]
     return BenchmarkSuite(name=path.stem, digest=digest, file=replace(file, **parts))
+
+
+def _with_key_names(data: Any) -> Any:  # noqa: ANN401 - whatever YAML has
+    """Return a suite's contents with the names of tasks that its digest has, see `contents.key_name`."""
+    if is_mapping(data):
+        return {_with_key_names(key): _with_key_names(value) for key, value in data.items()}
+    if is_list(data):
+        return [_with_key_names(one) for one in data]
+    return key_name(data) if isinstance(data, str) else data
 
 
 def run_suite(  # noqa: PLR0913 - all but four may be left out
@@ -163,6 +176,7 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
         UsageError: See `BenchmarkSuite.spec`; or a cell failed: names the first.
         WriteError: The folder cannot be written to.
     """
+    runs = [rename_run(run) for run in runs]
     spec = suite.spec(split, method, runs, **common)
     origin = provenance()
     # Cells are kept by code and machine: results name one of each, so they hold no cell of another.

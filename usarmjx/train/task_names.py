@@ -1,5 +1,6 @@
-"""Names of tasks, read before anything is built; nothing heavy is imported."""
+"""Names of tasks: users' own, those that files have, and bare ones, for which alone the tasks are imported."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 
@@ -8,10 +9,40 @@ def is_own(name: str) -> bool:
     return ":" in name or name.endswith(".py")
 
 
+RECORDED = {
+    "explore": "explore-v1",
+    "relay-chain": "relay-chain-v1",
+    "victim-search": "victim-search-v1",
+}
+"""Meanings of bare names in files: earlier releases wrote them for version 1, this one writes full names."""
+
+
+def recorded_name(name: str) -> str:
+    """Return the full name of a task that a file names; see `RECORDED`."""
+    return RECORDED.get(name.lower(), name)
+
+
+def newest_name(name: str) -> str:
+    """Return a task's full name: a bare one is that of the newest version, an unknown or own one stays."""
+    from usarmjx.train.tasks import TASKS
+
+    return TASKS.full_name(name) if name in TASKS else name
+
+
 def full_name(name: str) -> str:
-    """Return a task's name as records have it: of a user's own task with the whole path of its file."""
+    """Return a task's name as records have it: with its version, an own one with the path of its file."""
     place, _, found = name.rpartition(":")
-    return f"{path_of(place)}:{found}" if place.endswith(".py") else name
+    return f"{path_of(place)}:{found}" if place.endswith(".py") else newest_name(name)
+
+
+def policy_name(policy: str, rename: Callable[[str], str] = newest_name) -> str:
+    """Return a policy's name, with the full name of its task if the package has it by that.
+
+    Args:
+        policy: A task's name; or a folder, a file, or any other text, which stays.
+        rename: Returns the full name of a task.
+    """
+    return policy if Path(policy).exists() else rename(policy)
 
 
 def same_class(one: str, other: str) -> bool:

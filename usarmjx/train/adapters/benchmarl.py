@@ -16,6 +16,7 @@ except ModuleNotFoundError as error:
     ) from error
 from usarmjx.train.adapters.torchrl import TorchWorlds, specs
 from usarmjx.train.make import make, make_task
+from usarmjx.train.task_names import newest_name
 
 
 class BenchmarlTask(TaskClass):
@@ -36,7 +37,7 @@ class BenchmarlTask(TaskClass):
     """
 
     def __init__(self, name: str, config: Mapping[str, Any] | None = None) -> None:
-        settings = dict(config or {})
+        name, settings = newest_name(name), dict(config or {})
         filed = name.replace("/", "_").replace(":", "_")
         super().__init__(name=filed, config=settings)  # pyright: ignore[reportUnknownMemberType]
         self._task = name

@@ -38,7 +38,8 @@ VERSION = re.compile(r"(.+)-v(\d+)")
 
 
 def id_of(task: str) -> str:
-    """Return the id of a registered task."""
+    """Return the id of a registered task; of a bare name that of the newest version."""
+    task = TASKS.full_name(task)
     if VERSION.fullmatch(task):
         return f"{NAMESPACE}/{task}"
     found = [(one, VERSION.fullmatch(name)) for name, one in TASKS]

@@ -39,16 +39,16 @@ __all__ = [
     "soccer_policy",
 ]
 
-BASELINES: Registry[Callable[[Env], Policy]] = Registry("baseline")
-"""Baseline policies by the name of their task: functions of its environment."""
+BASELINES: Registry[Callable[[Env], Policy]] = Registry("baseline", versioned=True)
+"""Baseline policies by the name of their task, as in `TASKS`: functions of its environment."""
 BASELINES.add("drive-to-goal", bug_policy)
 BASELINES.add("wander", roam_policy)
-for version in ("", "-v1", "-v2"):
-    BASELINES.add(f"explore{version}", frontier_policy)
-    BASELINES.add(f"victim-search{version}", frontier_policy)
+for version in (1, 2):
+    BASELINES.add(f"explore-v{version}", frontier_policy)
+    BASELINES.add(f"victim-search-v{version}", frontier_policy)
 BASELINES.add("explore-v3", reporting_policy)
 BASELINES.add("victim-search-v3", courier_policy)
-BASELINES.add("relay-chain", relay_policy)
+BASELINES.add("relay-chain-v1", relay_policy)
 BASELINES.add("convoy", pursuit_policy)
 BASELINES.add("stairs", climb_policy)
 BASELINES.add("hover-inspect", inspection_policy)

@@ -405,5 +405,5 @@ def drive_all(robot: RobotSpec, actions: jax.Array) -> dict[str, jax.Array]:
     return {key: actions[..., i] * full[key] for i, key in enumerate(drive_keys(robot))}
 
 
-TASKS: Registry[Task] = Registry("task")
-"""Tasks by name, each with its default settings."""
+TASKS: Registry[Task] = Registry("task", versioned=True)
+"""Tasks by name, each with its default settings; a bare name is that of the newest version."""

@@ -25,17 +25,18 @@ from usarmjx.train.evaluation.evaluate import Evaluation, evaluate_episodes, poo
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, baseline, load_policy
+from usarmjx.train.task_names import newest_name
 from usarmjx.train.tasks.clearance import clearance
 from usarmjx.train.tasks.team import first_kind
 
 TASKS_TRIED = (
     "drive-to-goal",
     "wander",
-    "explore",
-    "relay-chain",
+    "explore-v1",
+    "relay-chain-v1",
     "convoy",
     "hover-inspect",
-    "victim-search",
+    "victim-search-v1",
     "soccer",
     "stairs",
 )
@@ -59,6 +60,7 @@ def sources_of(named: Sequence[str]) -> Iterator[Tried]:
             fields = "".join(f", {key}={text}" for key, text in sorted(record.overrides.items()))
             runs.setdefault((record.task, f"trained on {record.engine}{fields}"), []).append(found)
             continue
+        name = newest_name(name)
         if name in POLICIES:
             yield f"{name}, packaged policy", (load_policy(name),)
         yield f"{name}, baseline", (baseline(name),)

@@ -9,6 +9,7 @@ from usarmjx.base.settings import to_text
 from usarmjx.engines import choose_engine
 from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 from usarmjx.train.policies.sources import PolicySource, baseline, load_policy
+from usarmjx.train.task_names import policy_name
 
 
 def evaluate(  # noqa: PLR0913 - all but the first may be left out
@@ -62,7 +63,12 @@ def evaluate(  # noqa: PLR0913 - all but the first may be left out
     env, driver, notes = source.env(pairs, worlds=many, engine=engine, seed=seed, split=split)
     found = evaluate_episodes(env, driver, episodes, range(seed, seed + seeds), level, tell)
     record = as_record(found)
-    same = {"policy": str(policy or source.name), "task": source.task, "split": split or "", "engine": engine}
+    same = {
+        "policy": policy_name(str(policy or source.name)),
+        "task": source.task,
+        "split": split or "",
+        "engine": engine,
+    }
     rows: list[dict[str, Any]] = [{**same, **row} for row in record["episodes"]]
     try:
         import pandas as pd  # pyright: ignore[reportMissingTypeStubs]

@@ -1,6 +1,6 @@
 """Whether the radio matters in a task: a good policy with its radio, with a perfect one, and with none.
 
-    python -m usarmjx.train.evaluation.radio_matters explore --worlds 12 --seeds 5 --engine c
+    python -m usarmjx.train.evaluation.radio_matters explore-v1 --worlds 12 --seeds 5 --engine c
 
 With a perfect radio the policy's score must be higher, without messages lower, by 10 % of its score with the
 task's own radio, and the 95 % intervals over the seeds must not overlap; and with its own radio at least 20 %
@@ -30,6 +30,7 @@ from usarmjx.train.envs.recipe import TEST, GeneratedArenas
 from usarmjx.train.envs.state import EnvState
 from usarmjx.train.envs.task import TASKS
 from usarmjx.train.make import build_env, make_task
+from usarmjx.train.task_names import full_name, newest_name
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 
 GAIN, UNLINKED = 0.1, 0.2
@@ -161,7 +162,7 @@ def measure(
         UnknownNameError: No such task, or a field that it does not have.
         UsageError: A task without a radio; worlds that are no multiple of the levels of generated arenas.
     """
-    team = make_task(name, **overrides)
+    name, team = full_name(name), make_task(name, **overrides)
     rows: list[VariantResult] = []
     if not isinstance(team, TeamTask):
         raise UsageError(f"{name} is no task for a team: its robots have no radio")
@@ -202,7 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the table, and return 0 if the check holds."""
     names = [name for name, task in TASKS if isinstance(task, TeamTask)]
     parser = argparse.ArgumentParser(description="Whether the radio matters in a task.")
-    parser.add_argument("task", choices=names)
+    parser.add_argument("task", type=newest_name, choices=names)
     parser.add_argument("--worlds", type=int, default=12, help="episodes of each seed, each in an arena")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--engine", default="auto")

@@ -42,6 +42,7 @@ from usarmjx.train.policies.sources import (
     task_settings,
     usual_split,
 )
+from usarmjx.train.task_names import full_name, newest_name, policy_name
 from usarmjx.train.tasks import TASKS
 from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
@@ -99,10 +100,11 @@ def packaged_policy(env: Env) -> Policy:
 
 
 def packaged_name(task: str) -> str:
-    """Return the name of the packaged policy for a task, or for another version of it."""
+    """Return the name of the packaged policy for a task, or for its first version."""
+    task = newest_name(task)
     if task in POLICIES or (task in TASKS and isinstance(TASKS.get(task), GoalTeam)):
         return task  # no other version observes and acts alike
-    return re.sub(r"-v\d+$", "", task)
+    return re.sub(r"-v\d+$", "-v1", task)
 
 
 def baseline_policy(env: Env) -> Policy:
@@ -175,6 +177,11 @@ that know the building and hear all."""
 def named_team(name: str) -> Team | None:
     """Return a team that needs no policy of the user's own; None: there is none of that name."""
     return TEAMS.get(name) or GOAL_TEAMS.get(name)
+
+
+def team_name(team: str) -> str:
+    """Return the name of a team for tables, see `policy_name`."""
+    return team if named_team(team) else policy_name(team)
 
 
 def default_teams(task: str) -> tuple[str, ...]:
@@ -389,10 +396,12 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
         UsageError: A task without a team; worlds that are no multiple of the levels of generated arenas; a
             split of arenas that are not generated; a policy among `teams` that does not fit.
     """
+    name = full_name(name)
     task, played = task_to_play(name, worlds, split, **overrides)
     envs: dict[TeamTask, Env] = {}  # each is compiled once
     ready: list[tuple[str, TeamTask, Policy]] = []
-    named = {team: find_team(team) for team in (default_teams(name) if teams is None else teams)}
+    chosen = default_teams(name) if teams is None else map(team_name, teams)
+    named = {team: find_team(team) for team in chosen}
     for team, (change, driver) in named.items():
         own = task if not named_team(team) and "advice" in overrides else change(task)
         if own not in envs:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import Setting, default_reader, validate
 from usarmjx.engines import choose_engine
+from usarmjx.train.task_names import newest_name
 from usarmjx.train.tasks import TASKS
 
 HOST_ENGINES = ("c",)
@@ -20,7 +21,7 @@ MAZE_SETTINGS: dict[str, Any] = {
     "imitation_steps": 1_000_000,
     "checkpoint_interval": 10,
 }
-"""Settings of the runs of `explore` and `victim-search` in docs/evidence/training.md."""
+"""Settings of the runs of `explore-v1` and `victim-search-v1` in docs/evidence/training.md."""
 SMALL_SETTINGS: dict[str, Any] = {
     **MAZE_SETTINGS,
     "learning_rate": 1e-3,
@@ -43,11 +44,8 @@ SHORT_HORIZON = {"gamma": 0.97, "gae_lambda": 0.9}
 # Settings of each task, as far as they differ from `Config`. Keys are task names in lower case.
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "drive-to-goal": {"gamma": 0.98, "learning_rate": 1e-3, "entropy_coef": 0.002, "total_steps": 2_000_000},
-    **{f"explore{old}": {**MAZE_SETTINGS, **SHORT_HORIZON, "total_steps": 21_000_000} for old in ("", "-v1")},
-    **{
-        f"victim-search{old}": {**MAZE_SETTINGS, **SHORT_HORIZON, "total_steps": 16_000_000}
-        for old in ("", "-v1")
-    },
+    "explore-v1": {**MAZE_SETTINGS, **SHORT_HORIZON, "total_steps": 21_000_000},
+    "victim-search-v1": {**MAZE_SETTINGS, **SHORT_HORIZON, "total_steps": 16_000_000},
     "explore-v2": {**MAZE_SETTINGS, **SHORT_HORIZON, "imitation_steps": 5_000_000, "total_steps": 24_000_000},
     **dict.fromkeys(GOAL_TASKS, GOAL_SETTINGS),
     "victim-search-v2": {
@@ -55,7 +53,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
         **{"gamma": 0.99, "gae_lambda": 0.95, "gru_size": 64},
         **{"imitation_steps": 6_000_000, "imitation_std": 0.1, "total_steps": 36_000_000},
     },
-    "relay-chain": {
+    "relay-chain-v1": {
         **MAZE_SETTINGS,
         "gamma": 0.99,
         "gae_lambda": 0.95,
@@ -76,10 +74,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
 # Further settings for worlds on a GPU.
 GPU_SETTINGS: dict[str, dict[str, Any]] = {
     "drive-to-goal": {"num_worlds": 1024},
-    **{
-        f"victim-search{version}": {"num_worlds": 1024, "num_minibatches": 16}
-        for version in ("", "-v1", "-v2")
-    },
+    **{f"victim-search-v{number}": {"num_worlds": 1024, "num_minibatches": 16} for number in (1, 2)},
     **{task: {"num_worlds": 1024, "num_minibatches": 16} for task in GOAL_TASKS},
     **{
         task: {"num_worlds": 2048, "num_minibatches": 16}
@@ -97,10 +92,9 @@ GPU_SETTINGS[
 DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
     (
         "drive-to-goal",
-        *("explore", "explore-v1", "explore-v2"),
-        *("victim-search", "victim-search-v1", "victim-search-v2"),
+        *("explore-v1", "explore-v2", "victim-search-v1", "victim-search-v2"),
         *GOAL_TASKS,
-        "relay-chain",
+        "relay-chain-v1",
         "convoy",
         "hover-inspect",
         "wander",
@@ -110,10 +104,9 @@ DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
 """Engine that `auto` stands for in training, on any machine; scores are those of C MuJoCo."""
 DEFAULT_PHYSICS: dict[str, str] = dict.fromkeys(
     (
-        *("explore", "explore-v1", "explore-v2"),
-        *("victim-search", "victim-search-v1", "victim-search-v2"),
+        *("explore-v1", "explore-v2", "victim-search-v1", "victim-search-v2"),
         *GOAL_TASKS,
-        "relay-chain",
+        "relay-chain-v1",
     ),
     "coarse",
 )
@@ -126,13 +119,14 @@ def training_engine(task: str, engine: str) -> str:
     Raises:
         UnknownNameError: No such engine; lists those there are.
     """
-    default = DEFAULT_ENGINE.get(task.lower())
+    default = DEFAULT_ENGINE.get(newest_name(task).lower())
     return default if default and engine.lower() == "auto" else choose_engine(engine, "train")
 
 
 def training_fields(task: str, engine: str) -> dict[str, str]:
     """Return the fields of a task that training on the default engine changes."""
-    physics, default = DEFAULT_PHYSICS.get(task.lower()), DEFAULT_ENGINE.get(task.lower())
+    name = newest_name(task).lower()
+    physics, default = DEFAULT_PHYSICS.get(name), DEFAULT_ENGINE.get(name)
     return {"physics": physics} if physics and engine == default else {}
 
 
@@ -312,7 +306,7 @@ def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # 
         UsageError: A value that is not allowed; names its limits.
     """
     given = default_reader().values(Config, settings)
-    name = task.lower()
+    name = newest_name(task).lower()
     own = {**HYPERPARAMETERS.get(name, {}), **(GPU_SETTINGS.get(name, {}) if gpu else {})}
     if own and "gamma" not in own:
         own |= horizon_of(TASKS.get(task).episode_steps)

@@ -13,6 +13,7 @@ from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.settings import default_reader
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.learning.config import Config, differences, from_record
+from usarmjx.train.task_names import recorded_name
 
 RECORD_FILE = "config.json"
 SET_FILE = "seeds.json"
@@ -144,6 +145,9 @@ def load_record(folder: Path) -> RunRecord:
         if values.pop("format") != FORMAT:
             raise UsageError(f"{file} was written by another version of usarmjx")
         values["config"] = from_record(values["config"])
+        values["task"] = recorded_name(values["task"])
+        if values.get("began_with"):
+            values["began_with"]["task"] = recorded_name(values["began_with"]["task"])
         return default_reader().from_data(RunRecord, values, where=str(file))
     except (KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} does not read: {error}") from error

@@ -11,16 +11,13 @@ from pathlib import Path
 from usarmjx.base.registry import Registry, closest
 
 FOLDER = Path(__file__).parent
-VERSIONS = {"explore": "explore-v1", "victim-search": "victim-search-v1"}
-"""Versions of tasks that packaged policies were trained on: they are found by these names, too."""
 
 
 def policies_in(folder: Path) -> Registry[Path]:
     """Return the exported policies of a folder by the names of their tasks, which are those of the files."""
     found: Registry[Path] = Registry("packaged policy")
     for file in sorted(folder.glob("*.npz")):
-        aliases = (VERSIONS[file.stem],) if file.stem in VERSIONS else ()
-        found.add(file.stem, file, aliases=aliases)
+        found.add(file.stem, file)
     return found
 
 

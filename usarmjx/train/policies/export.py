@@ -11,6 +11,7 @@ from usarmjx.base.registry import unknown_name
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.policy_file import NumpyPolicy, read_arrays, save_policy, write_arrays
 from usarmjx.train.policies.policy_folder import SUFFIX, WEIGHTS, check_place, write_folder
+from usarmjx.train.task_names import newest_name
 
 
 def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:
@@ -45,8 +46,8 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
             f"{file}: a policy is written as .npz or .onnx, not as {Path(file).suffix or 'a bare name'};"
             " .policy makes a folder with a card"
         )
-    if str(run) in POLICIES and not Path(run).exists():
-        about, arrays = read_arrays(POLICIES.get(str(run)))
+    if not Path(run).exists() and (name := newest_name(str(run))) in POLICIES:
+        about, arrays = read_arrays(POLICIES.get(name))
         write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
         return
     if not Path(run).exists():

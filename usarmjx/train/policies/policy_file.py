@@ -17,8 +17,10 @@ from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.files import atomic_write
 from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.base.settings.json_file import parse_json
+from usarmjx.base.type_guards import is_mapping
 from usarmjx.train.envs.layout import ObservationLayout, layout_from_record, layout_record
 from usarmjx.train.policies.set_forward import KINDS, NumpyOperations, elu, set_outputs, set_shapes
+from usarmjx.train.task_names import recorded_name
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.state import AgentGroup
@@ -37,7 +39,7 @@ ABOUT = "about"
 
 
 def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
-    """Return the facts under `about` in a policy's file, and its other arrays.
+    """Return the facts under `about` in a policy's file, with the task's full name, and its other arrays.
 
     No array is read before all headers agree with the file, and with the limits.
 
@@ -48,6 +50,8 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
     try:
         found = read_npz(file, limits, lambda name: "U" if name == ABOUT else "f")
         about = parse_json(str(found.pop(ABOUT)), f"{file} is no policy of usarmjx: {ABOUT}", UsageError)
+        if is_mapping(about) and isinstance(task := about.get("task"), str):
+            about = {**about, "task": recorded_name(task)}
         return about, {name: array.astype(np.float32) for name, array in found.items()}
     except UsageError:
         raise
