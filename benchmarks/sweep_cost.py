@@ -23,7 +23,7 @@ from usarmjx.sweeps.spec import SweepSpec, read_spec
 from usarmjx.sweeps.store import write_cells
 from usarmjx.train.envs.membership import building_label
 
-DRIVE, EXPLORE = "drive-to-goal", "explore"
+DRIVE, EXPLORE = "drive-to-goal", "explore-v1"
 ARENAS: dict[str, dict[str, Any]] = {
     DRIVE: {"arena": {"kind": "maze", "size": [3, 3]}, "fields": {"ranges": []}},
     EXPLORE: {},

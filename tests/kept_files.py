@@ -37,7 +37,7 @@ from usarmjx.train.policies.sources import load_exported
 ROBOT = dataclasses.replace(ROBOTS.get("P2AT"), name="MyBot")
 TREE = {"weights": np.arange(3, dtype=np.float32)}
 LINE = {"iteration": 1, "agent_steps": 1024, "steps_per_s": 86.4, "score": 0.5}
-SWEEP = b"about: mine\ncommon: {task: explore, episodes: 2}\nproduct: {seed: [0, 1]}\n"
+SWEEP = b"about: mine\ncommon: {task: explore-v1, episodes: 2}\nproduct: {seed: [0, 1]}\n"
 
 
 def _plain(arrays):
@@ -130,7 +130,7 @@ def _written():
     with TemporaryDirectory() as name:
         folder = Path(name)
         rows = {"scores": (0.25,), "steps": (10,), "bad": (False,)}
-        settings = {"task": "explore", "policy": "random"}
+        settings = {"task": "explore-v1", "policy": "random"}
         cell = CellRecord(key="1f", settings=settings, engine="c", **rows)
         write_cell(folder, cell)
         result = RunResult(

@@ -149,8 +149,8 @@ def test_the_extras_that_are_named_exist():
 
 @pytest.mark.parametrize("half", [False, True])
 def test_a_packaged_policy_is_exported_as_it_is(half, tmp_path):
-    export_run("explore", tmp_path / "explore.npz", half=half)
-    mine, packaged = NumpyPolicy(tmp_path / "explore.npz"), NumpyPolicy(POLICIES.get("explore"))
+    export_run("explore-v1", tmp_path / "explore.npz", half=half)
+    mine, packaged = NumpyPolicy(tmp_path / "explore.npz"), NumpyPolicy(POLICIES.get("explore-v1"))
     assert (mine.task, mine.groups, mine.period) == (packaged.task, packaged.groups, packaged.period)
     first = [policy.weights[0]["layer_0"]["kernel"] for policy in (mine, packaged)]
     exact = first[1].astype(np.float16).astype(np.float32) if half else first[1]

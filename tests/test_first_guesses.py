@@ -30,7 +30,7 @@ def test_a_batch_may_be_of_an_arena():
 @pytest.mark.parametrize("name", ["num_envs", "n_envs", "num_worlds", "batch_size"])
 def test_other_libraries_names_of_the_worlds_are_answered(name):
     with pytest.raises(UsageError, match=f"{name}: the argument is called worlds, as worlds=4"):
-        usarmjx.make("explore", **cast(Any, {name: 4}))
+        usarmjx.make("explore-v1", **cast(Any, {name: 4}))
 
 
 def test_environments_and_registries_say_what_they_are():

@@ -18,9 +18,9 @@ from usarmjx.train.learning.config import DEFAULT_ENGINE
 
 
 def test_a_task_is_trained_as_the_command_line_would(tmp_path):
-    case = TrainCase(task="explore", worlds=8, steps=100, engine="c", seed=3, settings=["a=1", "b=2"])
+    case = TrainCase(task="explore-v1", worlds=8, steps=100, engine="c", seed=3, settings=["a=1", "b=2"])
     assert case.words(tmp_path) == [
-        "train", "explore", "--out", str(tmp_path), "--steps", "100", "--quiet", "--engine", "c",
+        "train", "explore-v1", "--out", str(tmp_path), "--steps", "100", "--quiet", "--engine", "c",
         "--seed", "3", "--worlds", "8", "--set", "a=1", "--set", "b=2",
     ]  # fmt: skip
 
@@ -43,7 +43,7 @@ def test_a_training_that_fails_says_why():
 
 
 def test_either_runs_or_a_task():
-    for words in ([], ["x", "--task", "explore"]):
+    for words in ([], ["x", "--task", "explore-v1"]):
         result = CliRunner().invoke(app, ["bench", "train", *words])
         assert result.exit_code == 2
         assert "name folders of runs, or a task to train: --task TASK" in result.output

@@ -79,9 +79,9 @@ def test_what_did_not_come_out_well_is_1(monkeypatch, tmp_path):
 
 INTERRUPTIBLE = {
     "list tasks": "usarmjx.cli.tables.LISTINGS",
-    "eval explore": "usarmjx.cli.policy_options.PolicyOptions.source",
-    "play explore --engine c": "usarmjx.cli.policy_options.PolicyOptions.source",
-    "train explore --out x": "usarmjx.cli.train._train",
+    "eval explore-v1": "usarmjx.cli.policy_options.PolicyOptions.source",
+    "play explore-v1 --engine c": "usarmjx.cli.policy_options.PolicyOptions.source",
+    "train explore-v1 --out x": "usarmjx.cli.train._train",
     "doctor": "usarmjx.cli.doctor.run_checks",
     "portraits --out x.png": "usarmjx.plots.gallery.portraits",
     "bench step": "benchmarks.step.measure_step",
@@ -116,7 +116,7 @@ def test_a_signal_while_a_command_works_is_130():
     """A process of its own, which is told to end while it builds a batch of worlds."""
     # What a shell starts in the background ignores interrupts, and so would its children.
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    code += "sys.argv = ['usarmjx', 'train', 'explore', '--out', 'x']\n"
+    code += "sys.argv = ['usarmjx', 'train', 'explore-v1', '--out', 'x']\n"
     code += "import usarmjx.train.learning.processes as launch, time\n"
     code += "launch.process_info = lambda _: (print('here', flush=True), time.sleep(600))\n"
     code += "from usarmjx.cli.app import app; app()"

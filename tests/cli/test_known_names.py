@@ -53,25 +53,25 @@ WRONG = {
     ("bench step", "arena"): ("bench step --arena {}", ARENA),
     ("bench step", "engine"): ("bench step --engine {}", ENGINE),
     ("bench step", "roster"): ("bench step --roster P2DX,{}:2", ROBOT),
-    ("bench train", "engine"): ("bench train --task explore --engine {}", ENGINE),
+    ("bench train", "engine"): ("bench train --task explore-v1 --engine {}", ENGINE),
     ("bench train", "task"): ("bench train --task {}", TASK),
     ("bench viewer", "rosters"): ("bench viewer --roster {}:2", ROBOT),
     ("calibrate", "engines"): ("calibrate --tasks --engines c,{}", ENGINE),
     ("calibrate", "names"): ("calibrate P2DX {}", ROBOT),
     ("chaos", "arena"): ("chaos --self --arena {}", ARENA),
-    ("eval", "agent"): ("eval --task explore --agent {}", ("zreo", "'zero'")),
+    ("eval", "agent"): ("eval --task explore-v1 --agent {}", ("zreo", "'zero'")),
     ("eval", "baseline"): ("eval --baseline {}", TASK),
-    ("eval", "engine"): ("eval explore --engine {}", ENGINE),
+    ("eval", "engine"): ("eval explore-v1 --engine {}", ENGINE),
     ("eval", "policy"): ("eval {}", POLICY),
-    ("eval", "robot"): ("eval explore --robot {}", ROBOT),
-    ("eval", "task"): ("eval explore --task {}", TASK),
+    ("eval", "robot"): ("eval explore-v1 --robot {}", ROBOT),
+    ("eval", "task"): ("eval explore-v1 --task {}", TASK),
     ("export", "run"): ("export {} --out x.npz", POLICY),
-    ("play", "agent"): ("play --task explore --agent {}", ("zreo", "'zero'")),
+    ("play", "agent"): ("play --task explore-v1 --agent {}", ("zreo", "'zero'")),
     ("play", "baseline"): ("play --baseline {}", TASK),
-    ("play", "engine"): ("play explore --engine {}", ENGINE),
+    ("play", "engine"): ("play explore-v1 --engine {}", ENGINE),
     ("play", "policy"): ("play {} --view", POLICY),
-    ("play", "robot"): ("play explore --robot {}", ROBOT),
-    ("play", "task"): ("play explore --task {}", TASK),
+    ("play", "robot"): ("play explore-v1 --robot {}", ROBOT),
+    ("play", "task"): ("play explore-v1 --task {}", TASK),
     ("portraits", "robot"): ("portraits P2DX --robot {} --out x.png", ROBOT),
     ("portraits", "robots"): ("portraits P2DX {} --out x.png", ROBOT),
     ("radio-map", "arena"): ("radio-map {} --from 0,0 --out x.png", ARENA),
@@ -86,13 +86,13 @@ WRONG = {
     ("sweep run", "engine"): ("sweep thousand --engine {}", ENGINE),
     ("sweep run", "robot"): ("sweep thousand --robot {}", ROBOT),
     ("sweep run", "what"): ("sweep {}", ("tousand", "'thousand'")),
-    ("teams", "engine"): ("teams explore --engine {}", ENGINE),
-    ("teams", "names"): ("teams explore random {}", ("packagd", "'packaged'")),
-    ("teams", "robot"): ("teams explore --robot {}", ROBOT),
+    ("teams", "engine"): ("teams explore-v1 --engine {}", ENGINE),
+    ("teams", "names"): ("teams explore-v1 random {}", ("packagd", "'packaged'")),
+    ("teams", "robot"): ("teams explore-v1 --robot {}", ROBOT),
     ("teams", "task"): ("teams {}", TASK),
-    ("train", "engine"): ("train explore --engine {}", ENGINE),
+    ("train", "engine"): ("train explore-v1 --engine {}", ENGINE),
     ("train", "named"): ("train {}", TASK),
-    ("train", "robot"): ("train explore --robot {}", ROBOT),
+    ("train", "robot"): ("train explore-v1 --robot {}", ROBOT),
     ("train", "task"): ("train --task {}", TASK),
 }
 """By command and parameter: a command line with a gap, a wrong name for it, and the one that was meant."""
@@ -199,7 +199,7 @@ def test_known_names_files_and_new_ones_pass(tmp_path, monkeypatch):
     check_name("task", "mine.py:Task")
     check_roster("P2AT:4, p2dx", ())
     check_roster("Cart:2", ["cart.urdf"])
-    check_policy("P2AT=explore,kenaf=mine.py:act")
+    check_policy("P2AT=explore-v1,kenaf=mine.py:act")
     folder = tmp_path / "models" / "robots"
     folder.mkdir(parents=True)
     monkeypatch.setattr(known_names, "PACKAGE", tmp_path)

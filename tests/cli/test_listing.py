@@ -44,9 +44,9 @@ def test_policies_are_the_packaged_ones_and_the_baselines():
 def test_tasks_say_which_policies_come_for_them():
     policies = {row[0]: row[-1] for row in LISTINGS["tasks"]().rows}
     assert policies["stairs"].endswith("baseline")
-    for name in ("explore", "victim-search"):
-        assert policies[name] == policies[f"{name}-v1"] == "packaged, baseline"
-        assert load_policy(f"{name}-v1").name == load_policy(name).name
+    for name in ("explore-v1", "explore-v2", "explore-v3", "victim-search-v1", "victim-search-v2"):
+        assert policies[name] == "packaged, baseline"
+        assert load_policy(name).task == name
 
 
 def test_json_is_a_list_of_objects_and_no_word_more_on_standard_output():
@@ -113,7 +113,10 @@ def test_names_that_are_completed_are_those_of_the_registries(tmp_path, monkeypa
     (file,) = (tmp_path / "usarmjx").glob("names-*.json")
     whole = file.read_text()
     assert json.loads(whole.splitlines()[1]) == completion.registered_names()
-    assert completion.complete_tasks("victim") == [one for one in TASKS.names() if one.startswith("victim")]
+    names = sorted([*TASKS.names(), "victim-search"])
+    assert completion.complete_tasks("victim") == [one for one in names if one.startswith("victim")]
+    assert {"explore", "explore-v1", "explore-v3"} <= {*completion.complete_policies("expl")}
+    assert "victim-search" not in completion.complete_policies("victim"), "its newest version has none"
     file.write_text(whole.replace('"Zerg"', '"Zerh"'))
     assert completion.complete_robots("Zer") == ["Zerg"], "what has another checksum is made anew"
     assert file.read_text() == whole

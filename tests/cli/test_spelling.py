@@ -128,7 +128,7 @@ def test_a_roster_of_one_class():
             one_class(bad)
 
 
-@pytest.mark.parametrize("words", [["--out", "x"], ["explore", "--task", "explore", "--out", "x"]])
+@pytest.mark.parametrize("words", [["--out", "x"], ["explore-v1", "--task", "explore-v1", "--out", "x"]])
 def test_a_training_has_one_task(words):
     result = CliRunner().invoke(app, ["train", *words])
     assert (result.exit_code, result.stdout) == (2, "")

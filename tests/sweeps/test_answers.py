@@ -20,7 +20,7 @@ from usarmjx.sweeps.table import export_rows
 
 
 def record(key, scores, bad=(), failed=None, unlinked=0.5, **settings):
-    settings = {"task": "explore", "policy": "baseline", "seed": 0, "episodes": len(scores), **settings}
+    settings = {"task": "explore-v1", "policy": "baseline", "seed": 0, "episodes": len(scores), **settings}
     flags = [number in bad for number in range(len(scores))]
     return CellRecord(
         key=key,
@@ -96,7 +96,7 @@ def test_the_report_says_what_there_is_and_what_is_not(found):
     assert "1 episodes left out: physics failed" in said
     assert "failed: out of luck (1 cells, as radio.cutoff -20, policy packaged)" in said
     assert "computed with another usarmjx: 0.0.1" in said
-    assert "| explore | -60          | baseline | 20 (" in said
+    assert "| explore-v1 | -60          | baseline | 20 (" in said
     assert "-1.6 (" in said
 
 
@@ -105,7 +105,7 @@ def test_two_sweeps_are_compared_cell_by_cell(found, tmp_path):
     said = compare(found, stored(tmp_path / "other", other))
     assert "2 cells in both, 2 in the first only, 0 in the second only" in said
     assert "the same score in 1 of them" in said
-    assert "| explore | radio.cutoff -60, policy baseline | 20    | 21     | 1 (-3.3 to 5.3) " in said, (
+    assert "| explore-v1 | radio.cutoff -60, policy baseline | 20    | 21     | 1 (-3.3 to 5.3) " in said, (
         "Student's of 0, 0, 3"
     )
 
@@ -181,7 +181,7 @@ def test_the_command_line_refuses_in_one_line(tmp_path):
     assert "no bundled sweep; those are: robustness, teams, thousand" in refused("nothing")
     assert "holds no sweep" in refused("show", tmp_path)
     file = tmp_path / "x.yaml"
-    file.write_text("common: {task: explore}\nproduct: {seed: [0]}\n")
+    file.write_text("common: {task: explore-v1}\nproduct: {seed: [0]}\n")
     assert "run on 'moon': expected here, processes, ray" in refused(file, "--run-on", "moon")
     assert "an address is for a cluster of Ray" in refused(file, "--address", "10.0.0.1:6379")
     assert "no setting 'height'" in refused(file, "--set", "height=3")

@@ -18,7 +18,7 @@ def cell(number, policy="baseline", scores=None, **settings):
     scores = np.random.default_rng(number).uniform(0, 10, EPISODES) if scores is None else scores
     return CellRecord(
         key=f"{number} {policy}",
-        settings={"task": "explore", "policy": policy, **settings},
+        settings={"task": "explore-v1", "policy": policy, **settings},
         engine="c",
         scores=tuple(map(float, scores)),
         steps=(10,) * len(scores),
@@ -118,7 +118,7 @@ def test_policies_are_compared_over_the_cells_that_all_of_them_have(uneven):
         "baseline": 16.25,
         "packaged": 26.5,
     }
-    assert "explore: 2 cells of baseline are left out, which not all policies have" in report(uneven)
+    assert "explore-v1: 2 cells of baseline are left out, which not all policies have" in report(uneven)
 
 
 def test_a_cell_that_one_policy_lacks_is_left_out_of_the_others_value(uneven):
@@ -143,7 +143,7 @@ def test_policies_without_a_cell_in_common_stand_for_their_own():
     ]
     assert shared_cells(records)[1]
     assert not shared_cells(records[:2])[1], "one policy has all cells in common with itself"
-    assert "explore: the policies have no cells in common, each is shown over its own" in report(found)
+    assert "explore-v1: the policies have no cells in common, each is shown over its own" in report(found)
 
 
 def panels_of(found):

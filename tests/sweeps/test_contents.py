@@ -118,7 +118,7 @@ def test_versions_are_part_of_a_key(monkeypatch):
 )
 def test_a_plan_says_what_is_missing(policy, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    spec = read_spec({"common": {"task": "explore"}, "product": {"policy": [policy]}})
+    spec = read_spec({"common": {"task": "explore-v1"}, "product": {"policy": [policy]}})
     prepared = prepare(spec, tmp_path / "out")
     assert not prepared.cells
     (record,) = prepared.broken

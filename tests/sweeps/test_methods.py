@@ -20,7 +20,7 @@ from usarmjx.sweeps.store import CellRecord, StoredSweep, write_cell, write_swee
 BUILDINGS, RUNS = 12, 5
 
 
-def cell(key, scores, task="explore", **settings):
+def cell(key, scores, task="explore-v1", **settings):
     labels = tuple(f"DM-building-10x8-{4_000_001_000 + n}@{n:012x}" for n in range(len(scores)))
     return CellRecord(
         key=key,
@@ -43,7 +43,7 @@ def sweep_of(records, *axes, **more):
 def compared():
     """The baseline, and two methods with five runs each, in two tasks with as many buildings."""
     draw, records = np.random.default_rng(3), []
-    for task, base in (("explore", 40.0), ("relay-chain", 20.0)):
+    for task, base in (("explore-v1", 40.0), ("relay-chain-v1", 20.0)):
         building = draw.normal(0.0, 5.0, BUILDINGS)
         records.append(cell(f"hand {task}", base + building, task))
         records.append(cell(f"random {task}", 5.0 + 0.1 * building, task, policy="random"))
@@ -57,7 +57,7 @@ def compared():
 
 def test_runs_of_a_method_are_cells_of_their_own():
     method = {"name": "PPO", "runs": ["runs/a", {"run": "runs/b", "checkpoint": "last"}]}
-    spec = read_spec({"common": {"task": "explore"}, "product": {"method": [method], "seed": [0, 1]}})
+    spec = read_spec({"common": {"task": "explore-v1"}, "product": {"method": [method], "seed": [0, 1]}})
     assert [(one["method"], one["policy"], one["seed"]) for one in spec.cells] == [
         ("PPO", "runs/a", 0),
         ("PPO", {"run": "runs/b", "checkpoint": "last"}, 0),
@@ -70,13 +70,13 @@ def test_runs_of_a_method_are_cells_of_their_own():
         ({"name": "PPO", "runs": []}, "method PPO: runs is"),
     ):
         with pytest.raises(UsageError, match=said):
-            read_spec({"common": {"task": "explore", "method": wrong}})
+            read_spec({"common": {"task": "explore-v1", "method": wrong}})
     with pytest.raises(UsageError, match="method and policy are both given"):
-        read_spec({"common": {"task": "explore", "policy": "baseline", "method": method}})
+        read_spec({"common": {"task": "explore-v1", "policy": "baseline", "method": method}})
 
 
 def test_an_interval_of_a_method_is_over_runs_and_buildings(compared):
-    (row,) = [row for row in overall_rows(compared) if (row.task, row.policy) == ("explore", "PPO")]
+    (row,) = [row for row in overall_rows(compared) if (row.task, row.policy) == ("explore-v1", "PPO")]
     assert [row.mean.drawn(name) for name in ("buildings", "runs", "settings")] == [BUILDINGS, RUNS, 1]
     table = np.array([record.scores for record in compared.records if record.key.startswith("PPO")][:RUNS])
     parts = table.mean(1).var(ddof=1) / RUNS, table.mean(0).var(ddof=1) / BUILDINGS
@@ -96,7 +96,7 @@ def test_an_interval_of_a_method_is_over_runs_and_buildings(compared):
 
 def test_methods_are_compared_in_the_same_buildings_and_corrected(compared):
     rows = {(row.task, row.first, row.second): row for row in policy_differences(compared)}
-    row = rows["explore", "PPO", "DAgger"]
+    row = rows["explore-v1", "PPO", "DAgger"]
     tables = [
         np.array([record.scores for record in compared.records if record.key.startswith(name)][:RUNS])
         for name in ("PPO", "DAgger")
@@ -127,7 +127,7 @@ def test_normalised_scores_are_0_at_random_and_1_of_the_baseline_in_each_task(co
     )
     assert rows["baseline"].mean.high - rows["baseline"].mean.low < 1e-9, "it is 1 whatever is drawn"
     ratios = []
-    for task in ("explore", "relay-chain"):
+    for task in ("explore-v1", "relay-chain-v1"):
         means = {
             name: np.mean(
                 [r.scores for r in compared.finished if r.settings["task"] == task and r.key.startswith(name)]
@@ -140,7 +140,7 @@ def test_normalised_scores_are_0_at_random_and_1_of_the_baseline_in_each_task(co
     earlier = sweep_of(compared.records, "task", normalise={"zero": "random", "one": "by-hand"})
     assert [row.mean for row in aggregates(earlier)] == [row.mean for row in rows.values()]
     lost = sweep_of(compared.records, "task", normalise={"zero": "oracle", "one": "baseline"})
-    with pytest.raises(UsageError, match="zero is oracle, which has no cells of explore"):
+    with pytest.raises(UsageError, match="zero is oracle, which has no cells of explore-v1"):
         aggregates(lost)
 
 

@@ -12,7 +12,7 @@ from usarmjx.train.tasks.victim_search import VictimSearch
 
 
 def cells(**given):
-    return read_spec({"common": {"task": "explore"}, **given}).cells
+    return read_spec({"common": {"task": "explore-v1"}, **given}).cells
 
 
 def test_lists_products_and_samples_are_all_combined():
@@ -46,7 +46,7 @@ def test_samples_lie_in_their_ranges_and_a_latin_hypercube_has_one_in_each_slice
         ({"product": {"radio.power": [1]}}, "no setting 'radio.power'; radio has: pdo, do, n, cutoff"),
         ({"product": {"speed": [1]}}, "no setting 'speed'; known: task, policy, episodes"),
         ({"product": {"seed": 3}}, "product: seed is 3, expected a list of values"),
-        ({"common": {"task": "explore", "episodes": 0}}, "episodes is 0, expected a whole number from 1"),
+        ({"common": {"task": "explore-v1", "episodes": 0}}, "episodes is 0, expected a whole number from 1"),
         ({"common": {}}, "a cell: task is nothing, expected a text"),
         (
             {"sample": {"count": 3, "method": "sobol", "ranges": {"seed": [0, 1]}}},
@@ -58,7 +58,7 @@ def test_samples_lie_in_their_ranges_and_a_latin_hypercube_has_one_in_each_slice
         ),
         ({"list": [{"seed": 1}], "product": {"seed": [1]}}, "seed is in two of list, product and sample"),
         (
-            {"common": {"task": "explore", "arena": {"level": 1}, "arena.level": 2}},
+            {"common": {"task": "explore-v1", "arena": {"level": 1}, "arena.level": 2}},
             "common has arena.level twice",
         ),
         ({"worlds": 0}, "worlds is 0, expected a whole number from 1"),
@@ -71,7 +71,7 @@ def test_what_is_wrong_is_named_with_what_is_allowed(given, said):
 
 def test_a_file_that_does_not_read_is_one_line(tmp_path):
     file = tmp_path / "bad.yaml"
-    file.write_text("common:\n  task: [explore\n")
+    file.write_text("common:\n  task: [explore-v1\n")
     with pytest.raises(UsageError, match=r"bad.yaml:3: is no YAML") as caught:
         load_spec(file)
     assert "\n" not in str(caught.value)
@@ -90,7 +90,7 @@ def test_a_file_that_does_not_read_is_one_line(tmp_path):
         ({"vary.radio_cutoff": 3, "radio.cutoff": 4}, "radio.cutoff and vary.radio_cutoff are both given"),
         ({"roster": {"P2AT": 2, "Zerg": 1}}, "takes robots of one class"),
         ({"roster": {"P2AT": 0}}, "expected classes and their numbers"),
-        ({"task": "victim-search", "vary.latency": [0, 5]}, "latency does not go with ComStation"),
+        ({"task": "victim-search-v1", "vary.latency": [0, 5]}, "latency does not go with ComStation"),
         ({"fields.velocity": 3}, "has no setting 'velocity'; it has"),
         ({"fields.price": "dear"}, "fields: price is 'dear', expected a number"),
         ({"policy": {"runs": "x"}}, "expected baseline, packaged, random, a run's folder"),
@@ -100,19 +100,19 @@ def test_a_file_that_does_not_read_is_one_line(tmp_path):
     ],
 )
 def test_settings_that_stand_for_nothing_are_named(settings, said):
-    (cell,) = read_spec({"common": {"task": "explore", "episodes": 2, **settings}}).cells
+    (cell,) = read_spec({"common": {"task": "explore-v1", "episodes": 2, **settings}}).cells
     with pytest.raises(UsageError, match=said):
         resolve(cell)
 
 
 def resolved(**settings):
-    (cell,) = read_spec({"common": {"task": "explore", "episodes": 2, **settings}}).cells
+    (cell,) = read_spec({"common": {"task": "explore-v1", "episodes": 2, **settings}}).cells
     return resolve(cell)
 
 
 def test_rosters_become_the_teams_of_tasks():
     assert resolved(roster={"Zerg": 3}).task.count == 3
-    search = resolved(task="victim-search", roster={"P2AT": 2, "kenaf": 1, "AirRobot": 1}).task
+    search = resolved(task="victim-search-v1", roster={"P2AT": 2, "kenaf": 1, "AirRobot": 1}).task
     assert isinstance(search, VictimSearch)
     assert (search.wheeled, search.tracked, search.flying) == (("P2AT",) * 2, ("kenaf",), ("AirRobot",))
 

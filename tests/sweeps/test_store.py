@@ -14,7 +14,7 @@ from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, 
 
 RECORD = CellRecord(
     key="1f",
-    settings={"task": "explore"},
+    settings={"task": "explore-v1"},
     engine="c",
     scores=(0.25,),
     steps=(10,),
@@ -55,7 +55,7 @@ def test_a_cell_that_was_copied_over_another_does_not_count(tmp_path, cell, capl
 
 def test_policies_of_earlier_results_have_their_names_of_now(tmp_path):
     for number, (earlier, name) in enumerate((("by-hand", "baseline"), ("shipped", "packaged"))):
-        record = replace(RECORD, key=str(number), settings={"task": "explore", "policy": earlier})
+        record = replace(RECORD, key=str(number), settings={"task": "explore-v1", "policy": earlier})
         write_cell(tmp_path, record)
         assert read_cell(tmp_path, str(number)).settings["policy"] == name
 
@@ -85,7 +85,7 @@ def test_a_damaged_list_of_cells_is_one_line(tmp_path):
         read_sweep(tmp_path)
 
 
-PRODUCT = "common: {task: explore}\nproduct:\n" + "".join(
+PRODUCT = "common: {task: explore-v1}\nproduct:\n" + "".join(
     f"  {key}: {list(range(1, 41))}\n" for key in ("seed", "episodes", "fields.a", "fields.b", "fields.c")
 )
 BOMB = "a: &a [1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
@@ -98,11 +98,11 @@ BOMB = "a: &a [1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     [
         (PRODUCT, ": 102400000 cells, expected at most 1000000"),
         (
-            "common: {task: explore}\nabout: 2001-99-99\n",
+            "common: {task: explore-v1}\nabout: 2001-99-99\n",
             ":2: about: '2001-99-99' is no timestamp: month must be in 1..12",
         ),
         (
-            "common: {task: explore, seed: " + "9" * 5000 + "}\n",
+            "common: {task: explore-v1, seed: " + "9" * 5000 + "}\n",
             ":1: common.seed: a number of 5000 characters",
         ),
         (BOMB, "more than 5000 values in one file"),

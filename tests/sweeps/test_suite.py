@@ -20,7 +20,7 @@ from usarmjx.sweeps.store import CellRecord
 from usarmjx.sweeps.suite import load_suite, run_suite
 
 FEW, BUILDINGS, RUNS = Resampler(200), 6, 3
-TASKS = {"explore-v2": 40.0, "relay-chain": 20.0}
+TASKS = {"explore-v2": 40.0, "relay-chain-v1": 20.0}
 
 
 @pytest.fixture(scope="module")
@@ -77,9 +77,9 @@ def results_of(suite, split="test"):
 def test_the_bundled_suite_asks_for_held_out_buildings_that_do_not_depend_on_the_episodes(suite):
     spec = suite.spec("test", "mine", ["packaged", "baseline:{task}"])
     assert {one["split"] for one in spec.cells} == {"test"}
-    assert [one["policy"] for one in spec.cells if one["task"] == "relay-chain"][:2] == [
+    assert [one["policy"] for one in spec.cells if one["task"] == "relay-chain-v1"][:2] == [
         "packaged",
-        {"baseline": "relay-chain"},
+        {"baseline": "relay-chain-v1"},
     ]
     counts = {one["task"]: one["arena.count"] for one in spec.cells}
     few = suite.spec("test", "mine", ["random"], episodes=3)

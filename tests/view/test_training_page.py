@@ -81,7 +81,7 @@ def test_the_page_takes_its_share_of_the_time_and_none_when_nobody_looks(batch):
 
 def test_whoever_watches_a_training_sees_what_a_robot_reads(batch):
     bound = socket.create_server(("127.0.0.1", 0))
-    training = _ShownTraining(bound, "explore")
+    training = _ShownTraining(bound, "explore-v1")
     training.begin(SimpleNamespace(batch=batch[0]), None)
     training.look(SimpleNamespace(batch=batch[1]))
     page = training._page._page

@@ -17,7 +17,7 @@ from usarmjx.base.files import atomic_write
 from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.settings import default_reader
 from usarmjx.recording.inputs import versions
-from usarmjx.sweeps.contents import policy_digest
+from usarmjx.sweeps.contents import key_name, policy_digest
 from usarmjx.sweeps.drivers import find_driver, policy_of_run, rename_run, script_of
 from usarmjx.sweeps.spec import rename_keys, rename_tasks
 from usarmjx.sweeps.store import CellRecord
@@ -181,5 +181,6 @@ def run_digest(run: str, task: str) -> str:
     driver = find_driver(policy, task)
     code = policy_digest(policy, driver.weights)
     if driver.source is None and script_of(policy) is None:
-        code = hashlib.sha256(repr(policy).encode()).hexdigest()
+        kept = rename_tasks({"policy": policy}, key_name)["policy"]
+        code = hashlib.sha256(repr(kept).encode()).hexdigest()
     return code[:HASH_LENGTH]

@@ -111,12 +111,8 @@ def rename_tasks(settings: CellSettings, rename: Callable[[str], str]) -> dict[s
     if isinstance(task := found.get("task"), str):
         found["task"] = rename(task)
     if is_mapping(policy := found.get("policy")):
-        found["policy"] = {
-            kind: policy_name(value, rename)
-            if kind in ("baseline", "file") and isinstance(value, str)
-            else value
-            for kind, value in policy.items()
-        }
+        named = {kind: policy[kind] for kind in ("baseline", "file") if isinstance(policy.get(kind), str)}
+        found["policy"] = {**policy, **{kind: policy_name(name, rename) for kind, name in named.items()}}
     elif isinstance(policy, str):
         found["policy"] = policy_name(policy, rename)
     return found

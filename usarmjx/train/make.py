@@ -283,7 +283,8 @@ def make(
     """Return the environment of a task, as `make("drive-to-goal", worlds=64, engine="c", arena="maze")`.
 
     Args:
-        name: Name of the task, case ignored, without a version the newest; or of a user's own, as `my_task.py:MyTask`.
+        name: Name of the task, case ignored; without a version it is the newest. Or of a user's own, as
+            `my_task.py:MyTask`.
         worlds: Number of worlds.
         engine: `warp`, `jax`, `c`, or `auto`.
         seed: Seed of all random numbers, unless `reset` gets another.

@@ -1,4 +1,4 @@
-"""Names of tasks: users' own, those that files have, and bare ones, for which alone the tasks are imported."""
+"""Names of tasks: users' own, those in files, and bare ones, for which alone the tasks are imported."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -34,9 +34,9 @@ LIMIT = 4
 def test_teams_of_any_size_find_start_poses():
     """The issue of speed asks for teams of 128; arenas that are given have what they have."""
     few = GeneratedArenas(count=1, levels=(0.0,), size=(8, 6))
-    assert make_task("explore", count=40, arena=few).arenas.starts == 40
-    assert make_task("explore", count=4, arena=few).arenas.starts == 24
-    floor = make_task("explore", count=128, arena="floor").arenas
+    assert make_task("explore-v1", count=40, arena=few).arenas.starts == 40
+    assert make_task("explore-v1", count=4, arena=few).arenas.starts == 24
+    floor = make_task("explore-v1", count=128, arena="floor").arenas
     spots = np.array([start.at[:2] for start in floor.starts])
     apart = np.linalg.norm(spots[:, None] - spots, axis=-1) + 9.0 * np.eye(128)
     assert len(spots) == 128
@@ -329,7 +329,7 @@ def test_overrides_and_names_that_do_not_exist_are_refused():
         usarmjx.mak  # noqa: B018
 
 
-@pytest.mark.parametrize(("task", "steps"), [("explore", 4), ("convoy", 2)])
+@pytest.mark.parametrize(("task", "steps"), [("explore-v1", 4), ("convoy", 2)])
 def test_an_action_lasts_as_long_under_longer_control_steps(task, steps):
     usual, coarse = make_task(task), make_task(task, physics="coarse")
     assert coarse.repeat == steps

@@ -66,15 +66,15 @@ def test_a_training_that_replaces_its_buildings_draws_from_all_of_train():
 
 @pytest.fixture(scope="module")
 def trained():
-    """The buildings in which the packaged policy of explore learned, by contents."""
-    return {building_label(arena).partition("@")[2] for arena in make_task("explore").arenas.arenas()}
+    """The buildings in which the packaged policy of explore-v1 learned, by contents."""
+    return {building_label(arena).partition("@")[2] for arena in make_task("explore-v1").arenas.arenas()}
 
 
 @pytest.mark.parametrize(("split", "identical"), [(None, 0), ("train", 16), ("validation", 0), ("fresh", 0)])
 def test_cells_of_a_sweep_play_held_out_buildings_unless_told(split, identical, trained):
     """At level 0.4 with seed 0, 16 of the 20 buildings of split train are those of the training."""
     given = {} if split is None else {"split": split}
-    common = {"task": "explore", "policy": "packaged", "arena.level": 0.4, **given}
+    common = {"task": "explore-v1", "policy": "packaged", "arena.level": 0.4, **given}
     (cell,) = read_spec({"common": common}).cells
     found = resolve(cell)
     assert found.split == (split or "test")
@@ -82,6 +82,5 @@ def test_cells_of_a_sweep_play_held_out_buildings_unless_told(split, identical, 
     assert {split_of(label.partition("@")[0]) for label in found.buildings} == {found.split}
     assert bool(found.training_note) == (split == "train")
     if split == "train":
-        assert (
-            "packaged policy of explore: 16 of 20 buildings are those of its training" in found.training_note
-        )
+        expected = "packaged policy of explore-v1: 16 of 20 buildings are those of its training"
+        assert expected in found.training_note

@@ -35,7 +35,7 @@ from usarmjx.train.tasks.team import PERFECT_RADIO
 
 OTHERS = 3
 SIZE = MATES + 4 * OTHERS + 2 * MAP_SIZE + 2
-"""Two numbers more, as `relay-chain` has."""
+"""Two numbers more, as `relay-chain-v1` has."""
 
 
 def hidden(name):

@@ -22,21 +22,25 @@ from usarmjx.train.make import make_task
 from usarmjx.train.tasks.team import PERFECT_RADIO, WALLED_RADIO
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9), (1.8, 2.1))
-TEAMS = {"explore": {"count": 3}, "relay-chain": {"count": 2}, "victim-search": {"wheeled": ("P2AT",) * 2}}
+TEAMS = {
+    "explore-v1": {"count": 3},
+    "relay-chain-v1": {"count": 2},
+    "victim-search-v1": {"wheeled": ("P2AT",) * 2},
+}
 """Fields that make each team small: three robots, the base counted."""
 PAIRS = 6
-LETTERS = {"explore": (PAIRS, 0), "relay-chain": (PAIRS, 0), "victim-search": (PAIRS, 2)}
+LETTERS = {"explore-v1": (PAIRS, 0), "relay-chain-v1": (PAIRS, 0), "victim-search-v1": (PAIRS, 2)}
 """How many robots write to how many others, with the task's own radio and without messages: to none, or each
 but the base to the base."""
 
 
-WORLDS = {"explore": "12", "relay-chain": "3", "victim-search": "3"}
+WORLDS = {"explore-v1": "12", "relay-chain-v1": "3", "victim-search-v1": "3"}
 """Of the check's runs in docs/evidence/tasks.md."""
 
 
 def small(name):
     """A team task of three robots in a room."""
-    more = {"tracked": (), "flying": ()} if name == "victim-search" else {}
+    more = {"tracked": (), "flying": ()} if name == "victim-search-v1" else {}
     return make_task(name, arena=room(STARTS, ((5.0, 1.5),)), **TEAMS[name], **more)
 
 
@@ -54,11 +58,11 @@ def test_variants_differ_in_their_radio_and_in_who_writes_to_whom(name):
 
 
 def test_each_world_has_an_arena_of_its_own_of_all_levels_alike():
-    task = make_task("explore")
+    task = make_task("explore-v1")
     levels = task.arena.levels
     few = few_arenas(task, 2 * len(levels))
     assert few == replace(task, arena=replace(task.arena.of_split("test"), count=2))
-    assert few_arenas(small("explore"), 5) == small("explore")
+    assert few_arenas(small("explore-v1"), 5) == small("explore-v1")
     with pytest.raises(UsageError, match=f"4 worlds for {len(levels)} levels of arenas: expected a multiple"):
         few_arenas(task, 4)
 

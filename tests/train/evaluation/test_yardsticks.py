@@ -79,7 +79,7 @@ def test_teams_without_a_policy_of_ones_own_are_those_that_can_play():
     assert default_teams("victim-search-v2") == tuple(TEAMS)
     assert default_teams("soccer") == tuple(name for name in TEAMS if name != "packaged")
     assert find_team("one") is TEAMS["one"]
-    change, _ = find_team("explore")  # a packaged policy, by its own name
+    change, _ = find_team("explore-v1")  # a packaged policy, by its own name
     task = make_task("explore-v2")
     assert change(task) is task
     with pytest.raises(UnknownNameError, match=r"fast is none of the teams random, one, .* is no folder"):
@@ -113,8 +113,8 @@ def test_teams_of_a_split_play_in_its_buildings_each_in_its_own():
     assert len(arenas_to_play("explore-v2", 300, "validation", arena=SMALL)) == 100
     with pytest.raises(UnknownNameError, match="exam"):
         arenas_to_play("explore-v2", 5, "exam")
-    with pytest.raises(UsageError, match="explore has no generated arenas as it is set up"):
-        arenas_to_play("explore", 5, "test", arena="floor")
+    with pytest.raises(UsageError, match="explore-v1 has no generated arenas as it is set up"):
+        arenas_to_play("explore-v1", 5, "test", arena="floor")
 
 
 @pytest.fixture

@@ -232,7 +232,7 @@ def test_nobody_is_imitated_unless_asked_for(short_run, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--from", "explore"), "explore is no folder of a run; an exported policy has neither critic"),
+        (("--from", "explore-v1"), "explore-v1 is no folder of a run; an exported policy has neither critic"),
         (("--from", "RUN", "--checkpoint", "77"), "no checkpoint '77' in "),
         (("--from", "RUN", "--resume"), "leave out --from or --resume"),
         (("--checkpoint", "last"), "--checkpoint says which one of the run that --from names"),

@@ -45,5 +45,5 @@ def test_a_file_is_no_place_for_a_folder(tmp_path):
 
 
 def test_the_closest_packaged_policy_is_named():
-    with pytest.raises(UnknownNameError, match="did you mean 'explore'"):
+    with pytest.raises(UnknownNameError, match="did you mean 'explore-v3'"):
         load_policy("expore")

@@ -28,13 +28,13 @@ def test_zero_and_random_act_for_all_robots():
 
 
 def test_agents_are_named_with_a_task_alone():
-    source = PolicyOptions(agent="random", task="explore").source()
-    assert (source.name, source.task, source.untrained) == ("random", "explore", True)
+    source = PolicyOptions(agent="random", task="explore-v1").source()
+    assert (source.name, source.task, source.untrained) == ("random", "explore-v1", True)
     with pytest.raises(UnknownNameError, match="known: zero, random"):
-        PolicyOptions(agent="greedy", task="explore").source()
+        PolicyOptions(agent="greedy", task="explore-v1").source()
     for wrong in (
         PolicyOptions(agent="zero"),
-        PolicyOptions(agent="zero", task="explore", baseline="explore"),
+        PolicyOptions(agent="zero", task="explore-v1", baseline="explore-v1"),
     ):
         with pytest.raises(UsageError, match="needs --task NAME"):
             wrong.source()

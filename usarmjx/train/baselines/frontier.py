@@ -33,7 +33,7 @@ HOMING_AGE = 2.0 / 60.0
 
 
 def relay_policy(env: Env) -> Policy:
-    """Return the policy for an environment of `relay-chain`; its carry is empty.
+    """Return the policy for an environment of `relay-chain-v1`; its carry is empty.
 
     The robots form a chain in the order of their slots, the base first. Each drives the way that it observes,
     which leads outward, and stops where the signal of the one before it gets weak; so the first ones become

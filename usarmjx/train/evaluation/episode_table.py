@@ -63,12 +63,8 @@ def evaluate(  # noqa: PLR0913 - all but the first may be left out
     env, driver, notes = source.env(pairs, worlds=many, engine=engine, seed=seed, split=split)
     found = evaluate_episodes(env, driver, episodes, range(seed, seed + seeds), level, tell)
     record = as_record(found)
-    same = {
-        "policy": policy_name(str(policy or source.name)),
-        "task": source.task,
-        "split": split or "",
-        "engine": engine,
-    }
+    named = {"policy": policy_name(str(policy or source.name)), "task": source.task}
+    same = {**named, "split": split or "", "engine": engine}
     rows: list[dict[str, Any]] = [{**same, **row} for row in record["episodes"]]
     try:
         import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
