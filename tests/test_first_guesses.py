@@ -43,4 +43,4 @@ def test_environments_and_registries_say_what_they_are():
         "episode=100 steps of 0.2 s)"
     )
     assert "<td style='text-align:left'>drive-to-goal</td>" in env._repr_html_()
-    assert repr(usarmjx.TASKS).startswith("Registry of tasks: convoy, drive-to-goal, explore,")
+    assert repr(usarmjx.TASKS).startswith("Registry of tasks: convoy, drive-to-goal, explore-v1,")

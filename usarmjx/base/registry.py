@@ -1,6 +1,6 @@
 """Registry of named entries: explicit `add`, names matched without case as in USARSim.
 
-A bare name of versions, as `dig` of `dig-v1` and `dig-v2`, stands for the newest.
+In some a bare name, as `explore` of `explore-v1` and `explore-v2`, stands for the newest version.
 """
 
 import re
@@ -35,7 +35,7 @@ def closest(name: str, known: Iterable[str]) -> str:
 
 
 def version_of(name: str) -> tuple[str, int]:
-    """Return the bare name and the number of a version, as of `dig-v2`; 0: the name has none."""
+    """Return the bare name and the number of a version, as of `explore-v2`; 0: the name has none."""
     match = _VERSION.fullmatch(name)
     return (match[1], int(match[2])) if match else (name, 0)
 
@@ -52,7 +52,7 @@ class Registry(Generic[T]):
 
     Args:
         kind: Noun for the entries in error messages ("robot", "sensor").
-        versioned: Whether `dig`, unless it is an entry itself, stands for the newest of `dig-v1`, `dig-v2`.
+        versioned: Whether a bare name, unless it is an entry itself, stands for the newest version.
     """
 
     def __init__(self, kind: str, *, versioned: bool = False) -> None:

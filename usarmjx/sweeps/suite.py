@@ -176,7 +176,6 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
         UsageError: See `BenchmarkSuite.spec`; or a cell failed: names the first.
         WriteError: The folder cannot be written to.
     """
-    runs = [rename_run(run) for run in runs]
     spec = suite.spec(split, method, runs, **common)
     origin = provenance()
     # Cells are kept by code and machine: results name one of each, so they hold no cell of another.
@@ -186,7 +185,7 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
     if failed := [one for one in found.records if one.failed is not None]:
         raise UsageError(f"{len(failed)} of {len(spec.cells)} cells failed, the first: {failed[0].failed}")
     files: list[Path] = []
-    for number, run in enumerate(runs):
+    for number, run in enumerate(map(rename_run, runs)):
         own = records_of_run(found.finished, run)
         result = RunResult(
             suite=suite.name,

@@ -61,10 +61,9 @@ def evaluate(  # noqa: PLR0913 - all but the first may be left out
     many, episodes = source.amount(pairs, split, worlds, episodes)
     engine = choose_engine(engine, "train")
     env, driver, notes = source.env(pairs, worlds=many, engine=engine, seed=seed, split=split)
-    found = evaluate_episodes(env, driver, episodes, range(seed, seed + seeds), level, tell)
-    record = as_record(found)
-    named = {"policy": policy_name(str(policy or source.name)), "task": source.task}
-    same = {**named, "split": split or "", "engine": engine}
+    record = as_record(evaluate_episodes(env, driver, episodes, range(seed, seed + seeds), level, tell))
+    name = policy_name(str(policy or source.name))
+    same = {"policy": name, "task": source.task, "split": split or "", "engine": engine}
     rows: list[dict[str, Any]] = [{**same, **row} for row in record["episodes"]]
     try:
         import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
