@@ -22,7 +22,7 @@ from usarmjx.train.policies.own_policy import check_own_policy, is_own_policy, o
 from usarmjx.train.policies.policy_file import NumpyPolicy
 from usarmjx.train.policies.policy_folder import weights_in
 from usarmjx.train.policies.untrained import UNTRAINED, check_untrained
-from usarmjx.train.task_names import full_name, newest_name, same_class
+from usarmjx.train.task_names import newest_name, same_class
 
 EPISODES, WORLDS = 100, 20
 """Default numbers of episodes and of worlds at once in an evaluation."""
@@ -59,7 +59,7 @@ class PolicySource:
 
         Another task has other fields than those that were set in training.
         """
-        task = full_name(task)
+        task = newest_name(task)
         same = same_class(task, self.task)
         return replace(self, task=task, overrides=self.overrides if same else {}, named=True)
 
@@ -385,7 +385,7 @@ def untrained(name: str, task: str) -> PolicySource:
         UnknownNameError: No such policy; lists those there are.
     """
     check_untrained(name)
-    return PolicySource(name=name, task=full_name(task), named=True, untrained=True)
+    return PolicySource(name=name, task=newest_name(task), named=True, untrained=True)
 
 
 def baseline(name: str, task: str | None = None) -> PolicySource:
@@ -396,4 +396,4 @@ def baseline(name: str, task: str | None = None) -> PolicySource:
         UsageError: An own task that has none, or cannot be imported.
     """
     found = find_baseline(name, task)
-    return PolicySource(name=found, task=full_name(task or found), named=True)
+    return PolicySource(name=found, task=newest_name(task or found), named=True)
