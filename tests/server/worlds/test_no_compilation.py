@@ -75,6 +75,7 @@ def lines_for(robot):
         order = ORDERS[number % len(ORDERS)]
         yield f"DRIVE {{Name {name}}} {{Order {order}}} {{Value 0.1}} {{Steer 0.1}}"
         yield f"SET {{Type Joint}} {{Name {name}}} {{Opcode {OPCODES[number % 6]}}} {{Params 0.1}}"
+        yield f"SET {{Type Joint}} {{Name {name}}} {{Opcode Stiffness}} {{Params 0.5}}"
         yield f"MULTIDRIVE {{{name} 0.2}}"
     for package in robot.packages:
         links = [link.number for link in package.links]
