@@ -30,6 +30,12 @@ def add_one(numbers: warp.array(dtype=float), times: int):
     numbers[k] += float(times)
 
 
+@warp.kernel
+def add_row(row: warp.array2d(dtype=float), numbers: warp.array2d(dtype=float)):
+    i, j = warp.tid()
+    numbers[i, j] += row[i, j]
+
+
 @dataclass
 class Numbers:
     """An array and what is added to it."""
@@ -70,7 +76,7 @@ def test_all_calls_but_the_first_are_replayed_from_one_recording():
     assert function.calls == 2
 
 
-def test_a_single_call_is_recorded_when_it_comes_again():
+def test_single_calls_are_replayed_from_the_second_on():
     function, data = Launches(), numbers()
     replay = LaunchReplay(function)
     with warp.ScopedDevice("cpu"):
@@ -80,20 +86,25 @@ def test_a_single_call_is_recorded_when_it_comes_again():
     assert function.calls == 2
 
 
-def test_other_arrays_and_other_numbers_have_recordings_of_their_own():
+def test_other_arrays_of_one_shape_share_a_recording_and_other_numbers_have_their_own():
     function, one = Launches(), numbers()
-    other, faster = numbers(100.0), Numbers(one.array, 10)
+    other, faster, longer = numbers(100.0), Numbers(one.array, 10), Numbers(warp.zeros(5, device="cpu"))
     replay = LaunchReplay(function)
     with warp.ScopedDevice("cpu"):
-        for data in (one, other, faster):
-            replay.run((), data, 3)
+        replay.run((), one, 3)
+        replay.run((), other, 3)
+        assert function.calls == 2
+        replay.run((), faster, 3)
+        replay.run((), longer, 3)
     assert one.array.numpy().tolist() == [33.0] * 3
     assert other.array.numpy().tolist() == [103.0] * 3
+    assert longer.array.numpy().tolist() == [3.0] * 5
     assert function.calls == 6
 
 
 def test_only_the_last_recordings_are_kept():
-    function, many = Launches(), [numbers() for _ in range(MOST_RECORDINGS + 1)]
+    function = Launches()
+    many = [Numbers(warp.zeros(size, device="cpu")) for size in range(1, MOST_RECORDINGS + 2)]
     replay = LaunchReplay(function)
     with warp.ScopedDevice("cpu"):
         for data in [*many, many[-1]]:
@@ -101,7 +112,29 @@ def test_only_the_last_recordings_are_kept():
         assert function.calls == 2 * len(many)
         replay.run((), many[0], 3)
     assert function.calls == 2 * len(many) + 2
-    assert many[0].array.numpy().tolist() == [6.0] * 3
+    assert many[0].array.numpy().tolist() == [6.0]
+
+
+def test_the_model_is_read_at_each_call_and_not_written():
+    """Its fields may differ from call to call, and with a stride of 0 all worlds share one."""
+
+    def function(model, data):
+        warp.launch(add_row, dim=data.array.shape, inputs=[model[0], data.array])
+
+    shared = warp.array(
+        ptr=(row := warp.array([1.0, 2.0, 3.0], dtype=float, device="cpu")).ptr,
+        dtype=float,
+        shape=(2, 3),
+        strides=(0, 4),
+        device="cpu",
+    )
+    data, replay = Numbers(warp.zeros((2, 3), device="cpu")), LaunchReplay(function)
+    with warp.ScopedDevice("cpu"):
+        replay.run((shared, shared), data, 2)
+        row.fill_(10.0)
+        replay.run((shared, shared), data, 2)
+    assert data.array.numpy().tolist() == [[22.0, 24.0, 26.0]] * 2
+    assert row.numpy().tolist() == [10.0] * 3
 
 
 def steps_of(physics, cone):
