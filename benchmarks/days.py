@@ -23,8 +23,7 @@ from usarmjx.engines.planar.responses import find_response, override_response
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2DX
 from usarmjx.models.types.arena import ArenaSpec, StartPose
-from usarmjx.models.types.robot import Mount, RobotSpec
-from usarmjx.models.types.settings import manual_keys
+from usarmjx.models.types.robot import Mount, RobotSpec, manual_keys
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.base import NOISE_SETTINGS, SENSORS
 from usarmjx.sim.batch import Batch, BatchState

@@ -7,7 +7,7 @@ from usarmjx.base.npz_file import NpzLimits
 from usarmjx.base.settings import files, json_file, yaml_file
 from usarmjx.models.files import meshes
 from usarmjx.models.ini import parse
-from usarmjx.models.roads import lines
+from usarmjx.models.roads import rndf
 from usarmjx.recording import reader
 from usarmjx.sweeps import spec, store
 from usarmjx.train.learning import checkpoint
@@ -38,4 +38,4 @@ def test_the_table_has_the_limits_in_force():
     assert numbers("part of a recording") == [reader.MOST_BYTES // 2**20 * MB]
     assert numbers("OBJ, STL, COLLADA")[0] == meshes.MAX_MESH_BYTES
     assert numbers("ini")[0] == parse.MAX_INI_BYTES
-    assert numbers("RNDF, MDF") == [lines.MAX_ROAD_FILE_BYTES]
+    assert numbers("RNDF, MDF") == [rndf.MAX_ROAD_FILE_BYTES]

@@ -13,7 +13,7 @@ from usarmjx.models.files.yaml_file import ARENA_READER
 from usarmjx.models.ini.items import WarningLog, read_settings
 from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.types.arena import Door
-from usarmjx.models.types.settings import resolve_settings
+from usarmjx.models.types.robot import resolve_settings
 from usarmjx.sensors.suite import SENSORS
 from usarmjx.sweeps.typed import typed_settings
 from usarmjx.train import Config

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.fidelity.conditions import Conditions, SingleTrack
 from benchmarks.fidelity.track import MAX_SPEED, Ground, Order, Orders, orders_of, touches_ground
 from usarmjx.base.errors import EngineError
-from usarmjx.models.compile.measure import bounding_box
+from usarmjx.models.compile.kinematic_tree import bounding_box
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.gripper import LEVER

@@ -12,7 +12,7 @@ from usarmjx.cli.app import app
 from usarmjx.cli.catalogue import SAMPLES, SECTIONS, ini_value, sensors_table
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.types.settings import field_name, field_names, manual_keys
+from usarmjx.models.types.robot import field_name, field_names, manual_keys
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sim.configure import settings_by_kind
 

@@ -9,8 +9,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.settings import describe
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.types.robot import Mount, options
-from usarmjx.models.types.settings import checked, resolve_settings
+from usarmjx.models.types.robot import Mount, checked, options, resolve_settings
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure, settings_by_kind

@@ -19,8 +19,7 @@ from usarmjx.models.compile.parts import HOUSING_SIZE
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.models.types.robot import Mount, options
-from usarmjx.models.types.settings import resolve_settings
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, noisy
 from usarmjx.sensors.ranging import RangeSettings, range_readings
 from usarmjx.sensors.settings import carried_weight

@@ -12,9 +12,8 @@ import pytest
 from tests.rig import Rig
 from usarmjx.base.clock import wrapped_step
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of, servos_of
 from usarmjx.models.compile.parts import LINK_STIFFNESS
-from usarmjx.models.compile.servos import servos_of
 from usarmjx.models.drives import DRY_DEPTH
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots.pioneer import P2AT, P2AT_MOTOR

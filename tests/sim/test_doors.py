@@ -12,7 +12,7 @@ import pytest
 
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines.base import check_features
-from usarmjx.models.compile.doors import door_boxes
+from usarmjx.models.compile.compose import door_boxes
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, Door, StartPose

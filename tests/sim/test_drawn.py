@@ -11,8 +11,8 @@ from tests.lone import LoneWorld
 from tests.models.robots.test_visuals import naked
 from usarmjx.base.backend import numpy_backend
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
-from usarmjx.models.compile.victim_visuals import BONE_VISUALS, VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import BONES, POSTURES, rest_height, victim_table
+from usarmjx.models.compile.visuals import BONE_VISUALS, VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Victim
 from usarmjx.models.types.shapes import Shape

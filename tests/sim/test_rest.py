@@ -9,18 +9,15 @@ import pytest
 from tests.arenas import FLAT
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.compile.compose import add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, index_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.layout import index_robot
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization, RandomizedValues, max_wheel_radius
-from usarmjx.models.compile.stance_table import stances_in
-from usarmjx.models.compile.standing import MAX_SINKING, MAX_TILT, START_GAP, stance_of
+from usarmjx.models.compile.standing import MAX_SINKING, MAX_TILT, START_GAP, stance_of, stances_in
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, StartPose, Water
-from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import manual_keys
+from usarmjx.models.types.robot import Mount, manual_keys
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.base import NOISE_SETTINGS, SENSORS
 from usarmjx.server.worlds.batch_world import BatchWorld

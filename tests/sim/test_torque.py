@@ -6,8 +6,8 @@ import pytest
 
 from tests.rig import PERIOD, Rig
 from usarmjx.models.arenas import ARENAS
+from usarmjx.models.compile.kinematic_tree import servos_of
 from usarmjx.models.compile.parts import part_name, parts_of
-from usarmjx.models.compile.servos import servos_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.control import ControlMode

@@ -6,6 +6,9 @@ In some a bare name, as `explore` of `explore-v1` and `explore-v2`, stands for t
 import re
 from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
+from importlib import import_module
+from pkgutil import iter_modules
+from types import ModuleType
 from typing import Generic, TypeVar
 
 from usarmjx.base.errors import UnknownNameError, UsageError
@@ -148,3 +151,18 @@ class Registry(Generic[T]):
     def __len__(self) -> int:
         """Return the number of entries, aliases not counted."""
         return len(self._entries)
+
+
+def values_in(package: ModuleType, kind: type[T]) -> list[T]:
+    """Return the public module-level values of a type in a package's modules, by module and definition.
+
+    A value that several modules import appears once. Subpackages and names with an underscore are skipped.
+    """
+    found: dict[int, T] = {}
+    for info in iter_modules(package.__path__):
+        if not info.ispkg:
+            module = import_module(f"{package.__name__}.{info.name}")
+            for name, value in vars(module).items():
+                if isinstance(value, kind) and not name.startswith("_"):
+                    found.setdefault(id(value), value)
+    return list(found.values())

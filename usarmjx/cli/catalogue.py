@@ -19,8 +19,7 @@ from usarmjx.engines import ENGINES, choose_engine
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.types.robot import Mount, Options, RobotSpec, options
-from usarmjx.models.types.settings import manual_keys
+from usarmjx.models.types.robot import Mount, Options, RobotSpec, manual_keys, options
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorSettings, total_size
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.server.gamebots.sensors import sensor_report

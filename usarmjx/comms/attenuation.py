@@ -18,8 +18,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.settings import NOT_NEGATIVE, Setting, validate
-from usarmjx.models.ini.parse import IniFile, Line, read_ini
-from usarmjx.models.ini.read import as_bool, as_number, fail
+from usarmjx.models.ini.parse import IniFile, Line, as_bool, as_number, fail, read_ini
 
 logger = logging.getLogger(__name__)
 

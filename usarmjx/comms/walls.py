@@ -36,8 +36,7 @@ from usarmjx.comms.clipping import (
     local_segments,
     pad_to_chunks,
 )
-from usarmjx.models.compile.compose import new_spec
-from usarmjx.models.compile.materials import materials_of
+from usarmjx.models.compile.compose import materials_of, new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.ray_geoms import HFIELD, MESH, ray_primitives_of
 from usarmjx.models.types.arena import ArenaSpec

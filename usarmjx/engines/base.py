@@ -16,8 +16,8 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnknownNameError, UnsupportedFeatureError
 from usarmjx.base.registry import Registry, unknown_name
+from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.geoms import MovedGeoms
-from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies, RandomizedValues
 from usarmjx.models.types.robot import RobotSpec

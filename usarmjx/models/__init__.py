@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from usarmjx.models.check.arena import check_arena as check_arena
     from usarmjx.models.compile.kinematic_tree import KinematicTree as KinematicTree
     from usarmjx.models.compile.kinematic_tree import kinematic_tree_of as kinematic_tree_of
-    from usarmjx.models.compile.measure import with_measurements as with_measurements
+    from usarmjx.models.compile.kinematic_tree import with_measurements as with_measurements
     from usarmjx.models.compile.physics import Physics as Physics
     from usarmjx.models.compile.randomization import DomainRandomization as DomainRandomization
     from usarmjx.models.files.load import find_arena as find_arena
@@ -74,8 +74,11 @@ else:
             "usarmjx.models.arenas": ("ARENAS",),
             "usarmjx.models.check.arena": ("check_arena",),
             "usarmjx.models.compile.physics": ("Physics",),
-            "usarmjx.models.compile.kinematic_tree": ("KinematicTree", "kinematic_tree_of"),
-            "usarmjx.models.compile.measure": ("with_measurements",),
+            "usarmjx.models.compile.kinematic_tree": (
+                "KinematicTree",
+                "kinematic_tree_of",
+                "with_measurements",
+            ),
             "usarmjx.models.compile.randomization": ("DomainRandomization",),
             "usarmjx.models.files.load": ("find_arena", "load_arena", "save_arena"),
             "usarmjx.models.files.robot_file": ("LoadedRobot", "load_robot", "robot_from_mjcf"),

@@ -20,9 +20,8 @@ from matplotlib.image import imsave  # pyright: ignore[reportUnknownVariableType
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import atomic_write
 from usarmjx.engines.c.camera_rays import CCameraRays
-from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.compose import materials_of, new_spec
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
-from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.compile.visuals import solid_extents

@@ -15,8 +15,8 @@ import numpy as np
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
-from usarmjx.models.compile.victim_visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import VictimTable, orientations, segment_poses
+from usarmjx.models.compile.visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.types.shapes import GLASS, MIRROR, OPAQUE, SKY
 from usarmjx.sensors.cameras.lenses import TILE, from_tiles, to_tiles
 from usarmjx.sensors.cameras.paint import (

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.models.compile.floor_map import floor_map
+from usarmjx.models.compile.raster import floor_map
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.recording.foxglove import WORLD, stamp
 from usarmjx.recording.reader import Recording

@@ -13,7 +13,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
-from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, TURN
+from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN
 from usarmjx.sensors.base import SENSORS, SensorInput, SensorSettings, vectorized
 from usarmjx.sensors.ranging import beam_count, beam_count_problem
 from usarmjx.sensors.swept import SweptScanner

@@ -11,7 +11,7 @@ from usarmjx.base.backend import xp
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import TURN
+from usarmjx.models.types.robot import TURN
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, vectorized
 from usarmjx.sensors.ranging import MAX_BEAMS
 from usarmjx.sensors.rays.bundles import Fans

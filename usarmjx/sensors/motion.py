@@ -19,8 +19,7 @@ from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rot
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
 from usarmjx.models.drives.base import RobotState
-from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import ANGLE_STEP
+from usarmjx.models.types.robot import ANGLE_STEP, Mount
 from usarmjx.sensors.base import (
     SENSORS,
     NoisySensorSettings,

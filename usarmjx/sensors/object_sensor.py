@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from usarmjx.base.settings import POSITIVE
-from usarmjx.models.types.settings import ANGLE_STEP, TURN
+from usarmjx.models.types.robot import ANGLE_STEP, TURN
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 

@@ -11,7 +11,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.settings import POSITIVE, Setting
-from usarmjx.models.types.settings import HALF_TURN, TURN
+from usarmjx.models.types.robot import HALF_TURN, TURN
 from usarmjx.sensors.base import SENSORS, SensorInput, SensorSettings, vectorized
 from usarmjx.sensors.ranging import MAX_BEAMS
 from usarmjx.sensors.swept import SweptScanner

@@ -13,7 +13,7 @@ from usarmjx.base.backend import xp
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, TURN
+from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN
 from usarmjx.models.types.shapes import GLASS, SKY
 from usarmjx.sensors.base import (
     SENSORS,

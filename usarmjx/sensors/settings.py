@@ -7,8 +7,7 @@ from typing import Annotated
 from usarmjx.base.errors import SpecError
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.types.robot import Mount, RobotSpec
-from usarmjx.models.types.settings import field_name, resolve_settings
+from usarmjx.models.types.robot import Mount, RobotSpec, field_name, resolve_settings
 from usarmjx.sensors.base import SENSORS, SensorSettings
 
 __all__ = ["CameraSettings", "field_name", "resolve_camera", "resolve_settings"]
@@ -59,7 +58,7 @@ def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
     So equal CameraMinFov and CameraMaxFov make a camera of that field of view (manual 10.14.2).
 
     Raises:
-        UnknownNameError: See `models.types.settings.checked`.
+        UnknownNameError: See `models.types.robot.checked`.
         SpecError: Likewise; or fields of view in the wrong order or not between 0 and pi.
     """
     settings = resolve_settings(CameraSettings, mount.all_options, owner)

@@ -11,7 +11,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, TURN
+from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.ranging import beam_count_problem, step_count
 from usarmjx.sensors.rays.bundles import Fans

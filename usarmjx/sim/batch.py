@@ -28,7 +28,7 @@ from usarmjx.comms.mail import clear_inboxes
 from usarmjx.engines import PhysicsState, choose_engine, make_engine
 from usarmjx.engines.base import Engine
 from usarmjx.models.compile.arena_set import ArenaState
-from usarmjx.models.compile.stance_table import stances_in
+from usarmjx.models.compile.standing import stances_in
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.sensors.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit

@@ -9,8 +9,7 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.registry import Registry
-from usarmjx.models.compile.compose import add_robot, chassis_shapes, remove_robot
-from usarmjx.models.compile.layout import RobotIndex, index_robot
+from usarmjx.models.compile.compose import RobotIndex, add_robot, chassis_shapes, index_robot, remove_robot
 from usarmjx.models.compile.parts import joint_names, parts_of
 from usarmjx.models.effecters import EFFECTERS
 from usarmjx.models.ini.parse import UU_PER_METRE, IniFile

@@ -15,9 +15,8 @@ from usarmjx.base.backend import named_scope, on_numpy, xp
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY
-from usarmjx.models.compile.kinematic_tree import KinematicTree
+from usarmjx.models.compile.kinematic_tree import KinematicTree, Servos, actuated_servos
 from usarmjx.models.compile.parts import joint_names, parts_of
-from usarmjx.models.compile.servos import Servos, actuated_servos
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.drives.ground import SkidSteer, YieldingSkidSteer
 from usarmjx.models.types.robot import STALL_SPEED, RobotSpec

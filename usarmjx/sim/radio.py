@@ -15,7 +15,7 @@ from usarmjx.comms.links import Links, antenna_positions, drop_old_events, evalu
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, MessageSettings, OutgoingMessages, deliver
 from usarmjx.comms.walls import add_boxes, arena_solids, bare_floor
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.compile.doors import door_boxes
+from usarmjx.models.compile.compose import door_boxes
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import Scene

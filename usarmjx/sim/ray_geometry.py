@@ -17,13 +17,12 @@ from usarmjx.base.clock import Time
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState, arena_index_of
-from usarmjx.models.compile.doors import door_boxes
+from usarmjx.models.compile.compose import door_boxes
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.compile.victim_visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import VictimTable, segment_poses
+from usarmjx.models.compile.visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.effecters import DroppedTags
-from usarmjx.models.types.shapes import GLASS, OPAQUE
-from usarmjx.models.types.textures import texture_names
+from usarmjx.models.types.shapes import GLASS, OPAQUE, texture_names
 from usarmjx.sensors.cameras.paint import (
     DOOR_LABEL,
     FALSE_ALARM_LABEL,

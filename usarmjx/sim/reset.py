@@ -12,8 +12,7 @@ from usarmjx.comms.mail import empty_inboxes
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.models.compile.randomization import sample_values
-from usarmjx.models.compile.stance_table import stances_in
-from usarmjx.models.compile.standing import stance_of
+from usarmjx.models.compile.standing import stance_of, stances_in
 from usarmjx.models.effecters import no_dropped_tags
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.suite import NO_MEMORY

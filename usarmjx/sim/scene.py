@@ -21,14 +21,16 @@ from usarmjx.models.compile.compose import (
     DOOR_PREFIX,
     LOOSE_PREFIX,
     VICTIM_PREFIX,
+    RobotIndex,
     add_robot,
     cap_contacts,
+    index_robot,
+    materials_of,
     new_spec,
+    textures_of,
 )
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
-from usarmjx.models.compile.layout import RobotIndex, index_robot
-from usarmjx.models.compile.materials import materials_of, textures_of
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import (

@@ -28,14 +28,14 @@ from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.engines.c.world import CWorld
 from usarmjx.models.compile.compose import (
     LOOSE_PREFIX,
+    RobotIndex,
     add_loose,
     add_robot,
+    materials_of,
     new_spec,
     remove_loose,
     remove_robot,
 )
-from usarmjx.models.compile.layout import RobotIndex
-from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.effecters import Opcode, no_dropped_tags
 from usarmjx.models.types.arena import ArenaSpec, LooseObject

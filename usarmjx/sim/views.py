@@ -11,11 +11,10 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import named_scope, xp
 from usarmjx.engines.base import PhysicsState
 from usarmjx.engines.c.camera_rays import AttachedVisual, GeomColors
-from usarmjx.models.compile.compose import VICTIM_PREFIX
+from usarmjx.models.compile.compose import VICTIM_PREFIX, materials_of, textures_of
 from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
-from usarmjx.models.compile.materials import materials_of, textures_of
-from usarmjx.models.compile.victim_visuals import victim_visual_model
-from usarmjx.models.types.textures import texture_names
+from usarmjx.models.compile.visuals import victim_visual_model
+from usarmjx.models.types.shapes import texture_names
 from usarmjx.sensors.cameras.mounts import Camera, camera_index, cameras_of, headlight_of
 from usarmjx.sensors.cameras.paint import (
     ROBOT_LABEL,

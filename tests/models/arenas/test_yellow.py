@@ -14,8 +14,8 @@ from tests.tours import ArenaRoute
 from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.c.batch import c_model
 from usarmjx.models.arenas.yellow import CELL, ORIGIN, START_CELLS, YELLOW
+from usarmjx.models.compile.kinematic_tree import servos_of
 from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
-from usarmjx.models.compile.servos import servos_of
 from usarmjx.models.compile.standing import START_GAP
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.models.compile.compose import add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, index_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import (
     forward_kinematics,
     geom_poses,
     kinematic_tree_of,
     robot_state,
 )
-from usarmjx.models.compile.layout import index_robot
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.types.arena import ArenaSpec

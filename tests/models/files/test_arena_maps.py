@@ -15,10 +15,9 @@ from usarmjx.models.check.arena import check_arena
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files import maps
-from usarmjx.models.files.grid_cover import rectangles
 from usarmjx.models.files.images import read_heights, write_heights
 from usarmjx.models.files.load import load_arena, read_arena
-from usarmjx.models.files.maps import without_specks
+from usarmjx.models.files.maps import rectangles, without_specks
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 EXACT = 1e-9  # m

@@ -5,7 +5,7 @@ import pytest
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.load import read_arena
-from usarmjx.models.files.plates import PLATE_THICKNESS
+from usarmjx.models.files.mesh_solids import PLATE_THICKNESS
 
 BOX = [(x, y, z) for x in (0.0, 2.0) for y in (0.0, 3.0) for z in (0.0, 1.0)]
 """Corners of a box of 2 x 3 x 1 m."""

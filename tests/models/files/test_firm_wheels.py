@@ -9,7 +9,7 @@ import pytest
 from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.files.firm_wheels import MAX_SINKING
+from usarmjx.models.files.robot_drive import MAX_SINKING
 from usarmjx.models.files.robot_file import load_robot
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import HOLD_SUFFIX

@@ -16,7 +16,7 @@ from usarmjx.models.check.arena import check_arena
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.load import load_arena, read_arena
-from usarmjx.models.files.world_meshes import box_of
+from usarmjx.models.files.mesh_solids import box_of
 from usarmjx.models.types.arena import START_ELEVATION
 
 EXACT = 1e-9  # m: sums and products of a few doubles

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.ini.parse import IniFile, Line, Reference, Section, Struct, parse_ini, read_ini
-from usarmjx.models.ini.values import MAX_DEPTH
+from usarmjx.models.ini.parse import MAX_DEPTH, IniFile, Line, Reference, Section, Struct, parse_ini, read_ini
 
 # Three readings of 50 000 characters take 0.02 s; one pattern that tries every split of them takes minutes.
 LONG_LINES_SECONDS = 2.0

@@ -5,9 +5,8 @@ import time
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.lines import MAX_ROAD_FILE_BYTES
 from usarmjx.models.roads.network import Lane, RoadSegment, RouteNetwork, mission_faults, network_faults
-from usarmjx.models.roads.rndf import read_mdf, read_rndf
+from usarmjx.models.roads.rndf import MAX_ROAD_FILE_BYTES, read_mdf, read_rndf
 from usarmjx.models.roads.shapes import road_shapes
 
 BRIEFLY = 10.0

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
+from usarmjx.models.compile.kinematic_tree import servos_of
 from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.compile.servos import servos_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import Shape

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.measure import bounding_box
+from usarmjx.models.compile.kinematic_tree import bounding_box, kinematic_tree_of
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of

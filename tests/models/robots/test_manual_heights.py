@@ -6,7 +6,7 @@ import pytest
 
 from tests.models.robots.test_manual_figures import FIGURES
 from usarmjx.models.compile.compose import add_robot, new_spec
-from usarmjx.models.compile.measure import bounding_box
+from usarmjx.models.compile.kinematic_tree import bounding_box
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import flip_vector
-from usarmjx.models.compile.compose import add_robot, new_spec, remove_robot
+from usarmjx.models.compile.compose import add_robot, index_robot, new_spec, remove_robot
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.layout import index_robot
 from usarmjx.models.compile.parts import link_frames
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import P2AT, P2DX

@@ -12,8 +12,8 @@ import pytest
 from tests.dressed import dressed
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.victim_visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import orientations, segment_poses, victim_table
+from usarmjx.models.compile.visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.pioneer import OMNI_P2DX, P2DX

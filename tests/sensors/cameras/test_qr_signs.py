@@ -8,7 +8,7 @@ import pytest
 from tests.viewpoints import viewpoint_at
 from usarmjx.models.arenas.league_hall import wall_sign
 from usarmjx.models.types.arena import ArenaSpec, StartPose
-from usarmjx.models.types.textures import SIGNS
+from usarmjx.models.types.shapes import SIGNS
 from usarmjx.sensors.cameras.textures import QR_CELLS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

@@ -14,11 +14,11 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.types.arena import ArenaSpec, StartPose
-from usarmjx.models.types.shapes import Shape
-from usarmjx.models.types.textures import (
+from usarmjx.models.types.shapes import (
     CODE_STRIDE,
     SIGNS,
     TEXTURES,
+    Shape,
     texture_code,
     texture_names,
     texture_problem,

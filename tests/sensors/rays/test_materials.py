@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from jax.extend.core import jaxprs_in_params
 
-from usarmjx.models.compile.compose import new_spec
-from usarmjx.models.compile.materials import materials_of
+from usarmjx.models.compile.compose import materials_of, new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.ray_geoms import FENDER_KIND, ray_primitives_of
 from usarmjx.models.robots.pioneer import P2AT

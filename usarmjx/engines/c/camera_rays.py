@@ -188,7 +188,7 @@ class GeomColors:
 
     Attributes:
         appearance: Appearance of the model's geoms in their order, then of the water, then of the visuals.
-        materials: Materials of the model's geoms (ngeom,); see `models.compile.materials`.
+        materials: Materials of the model's geoms (ngeom,); see `models.compile.compose`.
         water: Bodies of water, boxes with the material glass.
         figures: Visual meshes of robots and victims.
         replaced: Geoms of the model that these visuals replace (n,).

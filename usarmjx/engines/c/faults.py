@@ -18,7 +18,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.engines.c.batch import INTEGRATION_STATE
 from usarmjx.engines.c.placement import SEARCH_RADIUS, free_pose
-from usarmjx.models.compile.layout import RobotIndex
+from usarmjx.models.compile.compose import RobotIndex
 
 SEARCH_RADII = (SEARCH_RADIUS, 3 * SEARCH_RADIUS, 9 * SEARCH_RADIUS)
 """Search radii for a free pose near an occupied home, in order [m]."""

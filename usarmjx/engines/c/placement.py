@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.kinematic_tree import lowest_point
-from usarmjx.models.compile.layout import RobotIndex
 
 MAX_PENETRATION = 0.005
 """Largest initial penetration of an arena solid [m]: resting contact, and heights that the wire rounds to 1

@@ -18,7 +18,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.engines.c.ray_pairs import RayPairs
-from usarmjx.models.compile.layout import RobotIndex
+from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.ray_geoms import FENDER_KIND
 from usarmjx.models.types.shapes import FENDER, MATERIALS
 from usarmjx.sensors.rays.bundles import Fans
@@ -53,7 +53,7 @@ class CRayCaster:
     Args:
         model: The model; its geom groups are set to the geoms' materials.
         data: Its state.
-        materials: Material of each geom (ngeom,); see `models.compile.materials.materials_of`.
+        materials: Material of each geom (ngeom,); see `models.compile.compose.materials_of`.
         robots: Indices of each robot in the model, by slot.
 
     Attributes:

@@ -16,10 +16,8 @@ from usarmjx.engines.c.batch import buffer_warnings
 from usarmjx.engines.c.faults import RecoveryResult, reset_all, step_and_recover
 from usarmjx.engines.c.moved_geoms import MovedBody
 from usarmjx.engines.c.rays import CRayCaster
-from usarmjx.models.compile.compose import set_weld
+from usarmjx.models.compile.compose import RobotIndex, materials_of, set_weld
 from usarmjx.models.compile.geoms import MovedGeoms
-from usarmjx.models.compile.layout import RobotIndex
-from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.types.arena import ArenaSpec
 
 

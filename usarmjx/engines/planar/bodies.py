@@ -19,13 +19,11 @@ from usarmjx.base.rotations import mat_from_quat, matmul, parts, quat_times
 from usarmjx.engines.planar.drives import RollingGroup, rolling_groups
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.responses import check_robot
-from usarmjx.models.compile.compose import add_robot
+from usarmjx.models.compile.compose import RobotIndex, add_robot
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.randomization import DomainRandomization, RandomizedValues
 from usarmjx.models.compile.reachability import STEP_SHARE
-from usarmjx.models.compile.stance_table import stances_in
-from usarmjx.models.compile.standing import stance_of, standing_height
+from usarmjx.models.compile.standing import stance_of, stances_in, standing_height
 from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
 
 FREE_JOINT, HINGE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)

@@ -15,8 +15,8 @@ from usarmjx.engines.planar.responses import (
     rolls,
     uncalibrated,
 )
+from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
-from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.drives.ground import OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec

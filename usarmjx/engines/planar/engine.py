@@ -40,8 +40,8 @@ from usarmjx.engines.planar.rolling import (
 )
 from usarmjx.engines.planar.separation import separate_robots
 from usarmjx.engines.planar.solids import solid_geoms
+from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.geoms import MovedGeoms
-from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 from usarmjx.models.types.robot import RobotSpec

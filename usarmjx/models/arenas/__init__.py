@@ -8,8 +8,7 @@ and the tests of each arena list its required features (slopes, ways, hidden vic
 
 import sys
 
-from usarmjx.base.registry import Registry
-from usarmjx.models.discovery import values_in
+from usarmjx.base.registry import Registry, values_in
 from usarmjx.models.types.arena import ArenaSpec
 
 __all__ = ["ARENAS"]

@@ -6,23 +6,25 @@ a motor, an actuator. Parts of one robot do not touch each other: joint limits k
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
 
 import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
-from usarmjx.models.compile.doors import door_panel
-from usarmjx.models.compile.geoms import add_geom
-from usarmjx.models.compile.inertia import arena_inertia, set_inertia, stated_inertia
-from usarmjx.models.compile.parts import chassis_shapes, parts_of
+from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, mat_from_angles, quat_from_angles
+from usarmjx.models.compile.geoms import add_geom, arena_inertia, set_inertia, stated_inertia
+from usarmjx.models.compile.parts import chassis_shapes, joint_names, parts_of
 from usarmjx.models.compile.physics import CONES, SOLVERS, Physics
 from usarmjx.models.compile.victims import segment_poses, victim_table
 from usarmjx.models.compile.visuals import flipped
 from usarmjx.models.types.arena import ArenaSpec, Door, LooseObject
 from usarmjx.models.types.robot import CHASSIS, HOLD_SUFFIX, Motor, Part, RobotSpec
-from usarmjx.models.types.shapes import SURFACES, Shape
+from usarmjx.models.types.shapes import OPAQUE, SURFACES, Shape, texture_code
 
+DOOR_GAP = 0.01
+"""Gap between a door and the floor [m]."""
 FLOOR_SIZE = (0.0, 0.0, 1.0)
 """Size of an unbounded plane in MuJoCo: zero half sizes."""
 FLOOR_RGBA = (0.87, 0.88, 0.88, 1.0)
@@ -38,13 +40,46 @@ MAX_BOX_PIECES = 512
 MAX_BODY_SOLIDS = 256
 """Largest number of fixed solids of the body `arena`; more are geoms of the world. In each step MuJoCo
 computes the bounds of all geoms of a body, but not the world's."""
-
-
 REFERENCE_GEOMS = 7
 """Touching geoms of a P2AT, the reference of contacts_per_robot and pairs_per_robot."""
-
 LOOSE_CONTACTS = 5
 """Capacity of contact buffers per touching geom of a loose object: a resting box has four contacts."""
+Ids = tuple[int, ...]
+"""Indices of a robot's items, in the order of `RobotIndex`."""
+
+
+def door_panel(door: Door) -> Shape:
+    """Return the panel of a door in the frame of its hinge, which has its x axis along the door."""
+    width, thickness, height = door.size
+    return Shape(
+        kind="box",
+        size=(width / 2, thickness / 2, (height - DOOR_GAP) / 2),
+        at=(width / 2, 0.0, (height + DOOR_GAP) / 2),
+        mass=door.mass,
+        surface="wall",
+        rgba=door.rgba,
+    )
+
+
+def door_boxes(arena: ArenaSpec, angles: Array, xp: ModuleType = np) -> tuple[Array, Array, np.ndarray]:
+    """Return the poses of the panels of an arena's doors in the world, and their half lengths.
+
+    Args:
+        arena: The arena.
+        angles: Angles of the hinges [rad] (doors,).
+        xp: Array module of the angles.
+
+    Returns:
+        Centres [m] (doors, 3), orientations (doors, 3, 3), half lengths [m] (doors, 3).
+    """
+    panels = [door_panel(door) for door in arena.doors]
+    foot = np.array([door.at for door in arena.doors], np.float32).reshape(-1, 3)
+    offset = np.array([panel.at for panel in panels], np.float32).reshape(-1, 3)
+    size = np.array([panel.size for panel in panels], np.float32).reshape(-1, 3)
+    zero = xp.zeros_like(angles)
+    mat = mat_from_angles(zero, zero, np.array([door.yaw for door in arena.doors], np.float32) + angles, xp)
+    pos = foot + np.array([0.0, 0.0, arena.floor]) + (mat * offset[:, None]).sum(-1)
+    return pos.astype(np.float32), mat.astype(np.float32), size
 
 
 def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec, *, moves: bool = False) -> None:
@@ -296,3 +331,73 @@ def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> Non
     hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
     joint.actfrclimited = True
     joint.actfrcrange = [-motor.strongest, motor.strongest]
+
+
+@dataclass(frozen=True)
+class RobotIndex:
+    """Indices of one robot in an MjModel.
+
+    Bodies are in the order chassis, then parts (`models.compile.parts.parts_of`); joints in that order
+    without the chassis; actuators likewise, but only of the parts with a motor.
+
+    Attributes:
+        body_ids: Body ids.
+        root_qposadr: Address of the free joint's 7 numbers in qpos.
+        root_dofadr: Address of its 6 numbers in qvel.
+        qposadr: qpos addresses of the joints.
+        dofadr: qvel addresses of the joints.
+        actuator_ids: Ids of the actuators that pull towards a target.
+        actadr: Addresses of their activations: the targets.
+        hold_actuator_ids: Ids of the actuators that hold the joints; input 1, or 0 in torque mode.
+    """
+
+    body_ids: Ids
+    root_qposadr: int
+    root_dofadr: int
+    qposadr: Ids
+    dofadr: Ids
+    actuator_ids: Ids
+    actadr: Ids
+    hold_actuator_ids: Ids
+
+
+def index_robot(model: mujoco.MjModel, robot: RobotSpec, prefix: str) -> RobotIndex:
+    """Resolve the names of the robot that was composed with `prefix`."""
+    names = [prefix + name for name in joint_names(robot)]
+    joints = [model.joint(name) for name in names]
+    motors = [prefix + part.name for part in parts_of(robot) if part.motor is not None]
+    pulls = [model.actuator(name).id for name in motors]
+    return RobotIndex(
+        body_ids=(model.body(f"{prefix}chassis").id, *(model.body(name).id for name in names)),
+        root_qposadr=int(model.joint(f"{prefix}root").qposadr[0]),
+        root_dofadr=int(model.joint(f"{prefix}root").dofadr[0]),
+        qposadr=tuple(int(joint.qposadr[0]) for joint in joints),
+        dofadr=tuple(int(joint.dofadr[0]) for joint in joints),
+        actuator_ids=tuple(pulls),
+        actadr=tuple(int(model.actuator_actadr[pull]) for pull in pulls),
+        hold_actuator_ids=tuple(model.actuator(name + HOLD_SUFFIX).id for name in motors),
+    )
+
+
+def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:
+    """Return the material of every geom of a model of that arena, one of `shapes.MATERIALS`.
+
+    The arena's fixed solids and loose objects have their own; its floor, doors and victims, and all robots
+    are opaque.
+    """
+    known = {f"{ARENA_PREFIX}{i}": shape.material for i, shape in enumerate(arena.shapes)}
+    for loose in arena.loose:
+        known |= {f"{LOOSE_PREFIX}{loose.name}/{i}": shape.material for i, shape in enumerate(loose.shapes)}
+    return [known.get(model.geom(i).name, OPAQUE) for i in range(model.ngeom)]
+
+
+def textures_of(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
+    """Return the texture codes of a model's geoms (ngeom,): those of the arena's fixed solids."""
+    known = {
+        f"{ARENA_PREFIX}{i}": texture_code(shape.texture)
+        for i, shape in enumerate(arena.shapes)
+        if shape.texture
+    }
+    if not known:
+        return np.zeros(model.ngeom, np.int32)
+    return np.array([known.get(model.geom(i).name, 0) for i in range(model.ngeom)], np.int32)

@@ -1,11 +1,11 @@
-"""The kinematic tree of a robot class with its shapes, as arrays.
+"""The kinematic tree of a robot class with its shapes and servos, as arrays; measurements of it.
 
 Sensors need the poses of a robot's bodies and shapes. Computing them from the robot's own state with its own
 tree, rather than reading an engine's arrays, makes sensors independent of the engine, of the other robots in
 the model, and of the half step by which an engine's poses trail its state.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -17,15 +17,19 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.compile.compose import add_robot, new_spec
-from usarmjx.models.compile.layout import RobotIndex, index_robot
+from usarmjx.models.compile.compose import RobotIndex, add_robot, index_robot, new_spec
 from usarmjx.models.compile.parts import chassis_visuals, joint_names, parts_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
 from usarmjx.models.compile.visuals import Solids, VisualModel, build_visual_model, flipped
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.models.types.robot import CHASSIS, RobotSpec
+from usarmjx.models.types.robot import CHASSIS, Motor, RobotSpec
+
+MEASUREMENT_DECIMALS = 6
+"""Decimals of the measurements, micrometres and milligrams: kinematic trees are in single precision."""
+ROUND = ("sphere", "capsule", "cylinder", "ellipsoid")
+"""Kinds of shapes whose first size is the radius of a wheel."""
 
 
 class BodyPoses(struct.PyTreeNode, kw_only=True):
@@ -322,3 +326,133 @@ def forward_kinematics(tree: KinematicTree, state: RobotState) -> BodyPoses:
 def geom_poses(tree: KinematicTree, bodies: BodyPoses) -> tuple[Array, Array]:
     """Return the world poses of robots' geoms: centres (..., geoms, 3), orientations (..., geoms, 3, 3)."""
     return tree.solids.poses(bodies.pos, bodies.mat)
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """Constants of a robot's joint servos (joints,); joints without a motor have zeros and ones.
+
+    Attributes:
+        speed: Highest speed.
+        torque: Highest torque.
+        stiffness: Gain on the position.
+        damping: Gain on the velocity.
+        armature: Inertia of the motor.
+        low: Lowest position.
+        high: Highest position.
+        lead: Distance of a servo's target ahead of its joint per joint speed, without torque.
+        windup_limit: Further distance of the target, just enough for full torque. Without the bound a stalled
+            wheel would have to unwind first, and a braked one would roll back.
+        brake_limit: The same for a joint at commanded speed 0.
+        has_brake: Whether the braking torque differs from the driving torque.
+        stall_limit: Additional distance at standstill.
+        surge: Acceleration by its torque of a joint with a stall torque and its share of the robot [rad/s^2].
+    """
+
+    speed: np.ndarray
+    torque: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    armature: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    lead: np.ndarray
+    windup_limit: np.ndarray
+    surge: np.ndarray
+    brake_limit: np.ndarray
+    has_brake: np.ndarray
+    stall_limit: np.ndarray
+
+
+@cache
+def servos_of(robot: RobotSpec) -> Servos:
+    """Return the servo constants of a robot class."""
+    parts = parts_of(robot)
+    no_motor = Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0, armature=1.0)
+    motors = [part.motor or no_motor for part in parts]
+    limits = [part.limits or (-np.inf, np.inf) for part in parts]
+
+    def row(values: list[float]) -> np.ndarray:
+        return np.array(values, np.float32)
+
+    return Servos(
+        speed=row([m.max_speed for m in motors]),
+        torque=row([m.torque for m in motors]),
+        stiffness=row([m.stiffness for m in motors]),
+        damping=row([m.damping for m in motors]),
+        armature=row([m.armature for m in motors]),
+        low=row([low for low, _ in limits]),
+        high=row([high for _, high in limits]),
+        lead=row([m.damping / m.stiffness for m in motors]),
+        windup_limit=row([m.torque / m.stiffness for m in motors]),
+        brake_limit=row([(m.torque if m.brake is None else m.brake) / m.stiffness for m in motors]),
+        stall_limit=row([((m.stall_torque or m.torque) - m.torque) / m.stiffness for m in motors]),
+        surge=row([_surge(robot, m, motors) for m in motors]),
+        has_brake=np.array([m.brake is not None for m in motors], bool),
+    )
+
+
+def _surge(robot: RobotSpec, motor: Motor, motors: list[Motor]) -> float:
+    if motor.stall_torque is None:
+        return 0.0
+    share = robot.mass / sum(one.stall_torque is not None for one in motors)
+    return motor.torque / (motor.armature + share * robot.wheel_radius**2)
+
+
+@cache
+def actuated_servos(tree: KinematicTree) -> tuple[np.ndarray | slice, Servos]:
+    """Return the joints of a robot class with a motor, and the constants of these alone (actuators,)."""
+    servos, here = servos_of(tree.robot), tree.actuated
+    own = Servos(**{name: values[here] for name, values in vars(servos).items()})
+    # A slice where all joints have a motor: it saves a gather at every step.
+    return slice(None) if len(here) == len(servos.speed) else here, own
+
+
+def with_measurements(robot: RobotSpec) -> RobotSpec:
+    """Return a robot with dimensions, mass, height and wheel measurements of its parts.
+
+    `dimensions` are those of the box around it at rest, `wheel_separation` and `wheel_base` the largest
+    distances of its wheels.
+
+    Raises:
+        SpecError: It cannot be built.
+    """
+    tree = kinematic_tree_of(robot)
+    low, high = bounding_box(robot)
+    wheels = [i for i, part in enumerate(tree.parts) if part in {wheel.name for wheel in robot.wheels}]
+    spread = np.ptp(tree.rest_pos[wheels], axis=0) if wheels else np.zeros(3)
+    radii = [shape.size[0] for part in robot.wheels for shape in part.shapes if shape.kind in ROUND]
+    length, width, height = (high - low).round(MEASUREMENT_DECIMALS).tolist()
+    return replace(
+        robot,
+        dimensions=(length, width, height),
+        mass=round(tree.mass, MEASUREMENT_DECIMALS),
+        origin_height=round(tree.clearance, MEASUREMENT_DECIMALS),
+        wheel_radius=radii[0] if radii else 0.0,
+        wheel_separation=round(float(spread[1]), MEASUREMENT_DECIMALS),
+        wheel_base=round(float(spread[0]), MEASUREMENT_DECIMALS),
+    )
+
+
+def bounding_box(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper corner of the box around a robot at rest [m] (3,), MuJoCo's axes."""
+    return bounding_corners(*robot_at_rest(robot))
+
+
+def robot_at_rest(robot: RobotSpec) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
+    """Return the model of a robot in an empty arena, its data at rest, and which geoms are its own (n,)."""
+    spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data, model.geom_bodyid >= 2  # bodies 0 and 1 are the world and the arena
+
+
+def chassis_heights(robot: RobotSpec) -> np.ndarray:
+    """Return how high the lowest point of each of the chassis' solids is above that of the robot [m] (n,)."""
+    model, data, own = robot_at_rest(robot)
+    lows = np.zeros(len(robot.chassis))
+    for i in range(len(lows)):
+        lows[i] = lowest_point(model, data, np.arange(model.ngeom) == model.geom(f"chassis/{i}").id)
+    return lows - lowest_point(model, data, own)

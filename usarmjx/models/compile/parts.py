@@ -11,8 +11,16 @@ import numpy as np
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, Part, RobotSpec
-from usarmjx.models.types.settings import field_name
+from usarmjx.models.types.robot import (
+    CHASSIS,
+    Link,
+    MissionPackage,
+    Motor,
+    Mount,
+    Part,
+    RobotSpec,
+    field_name,
+)
 from usarmjx.models.types.shapes import Shape
 
 LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02

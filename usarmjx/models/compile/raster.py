@@ -1,10 +1,11 @@
-"""Vertical extents of solids above the cells of a grid.
+"""Vertical extents of solids above the cells of a grid, and maps of the floor's filled squares.
 
 Boxes are exact, turned and tilted; meshes are their convex hulls; spheres, capsules, cylinders and ellipsoids
 the boxes around them; terrain is sampled at the nearest of its heights. A solid is widened by half a cell on
 every side (not upwards), so that a wall thinner than a cell is not missed between two.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import SKY, SURFACES, Shape
 
 MAX_SPAN_ROWS = 10_000_000
@@ -21,6 +23,13 @@ VERTICAL_NORMAL_Z = 1e-9
 UPWARD_NORMAL_Z = 0.5
 """Bound on the z component of a normal above which a face is not moved when solids are widened: the move
 would raise slopes."""
+CELL = 0.05
+"""Side of a map's square [m]; doubled until there are no more than `MOST_SQUARES`."""
+MOST_SQUARES = 1_000_000
+LOWEST, HIGHEST = 0.1, 0.6
+"""Heights above the floor between which a solid is an obstacle [m]."""
+MARGIN = 0.5
+"""Margin of the map around the arena's extent [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,3 +210,20 @@ def _terrain(shape: Shape, grid: Grid) -> SpanRows:
     high = shape.at[2] + heights[row, line]
     low = np.full(len(high), shape.at[2] - base)
     return (i * grid.shape[1] + j)[inside], low, high, np.hypot(slope_x, slope_y)[row, line]
+
+
+def floor_map(arena: ArenaSpec) -> tuple[Grid, np.ndarray]:
+    """Return the squares of an arena's map, and which of them a fixed solid fills (i, j).
+
+    Solids are widened by half a square on each side. Loose objects and doors are left out.
+    """
+    cell, spans = CELL, [(low - MARGIN, high + MARGIN) for low, high in arena.extent]
+    while math.prod((high - low) / cell for low, high in spans) > MOST_SQUARES:
+        cell *= 2
+    columns, rows = (max(1, math.ceil((high - low) / cell)) for low, high in spans)
+    grid = Grid(low=(spans[0][0], spans[1][0]), cell=cell, shape=(columns, rows))
+    table = rasterize(arena.shapes, grid)
+    blocks = (table.high > LOWEST) & (table.low < HIGHEST)  # above the floor
+    filled = np.zeros(grid.shape, bool)
+    filled.reshape(-1)[table.square[blocks]] = True
+    return grid, filled

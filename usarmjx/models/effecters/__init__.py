@@ -20,8 +20,7 @@ from usarmjx.models.effecters.base import (
 from usarmjx.models.effecters.gripper import Gripper
 from usarmjx.models.effecters.jointless import Headlight, RfidReleaser
 from usarmjx.models.effecters.roller import RollerTable
-from usarmjx.models.types.robot import RobotSpec
-from usarmjx.models.types.settings import resolve_settings
+from usarmjx.models.types.robot import RobotSpec, resolve_settings
 
 __all__ = [
     "EFFECTERS",

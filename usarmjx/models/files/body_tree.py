@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.compile.inertia import Inertia, combine_inertias, described_inertia
+from usarmjx.models.compile.geoms import Inertia, combine_inertias, described_inertia
 from usarmjx.models.files.mesh_solids import hull_mesh, round_about
 from usarmjx.models.files.mjcf_solids import (
     KINDS,

@@ -25,23 +25,28 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANE_PREFIX, LANES
 from usarmjx.models.files.content import EMPTY_EXTENT, Content
 from usarmjx.models.files.images import image_size, write_heights
-from usarmjx.models.files.maps import is_map, occupancy_grid_content
+from usarmjx.models.files.maps import check_picture, is_map, occupancy_grid_content
+from usarmjx.models.files.mesh_solids import world_pieces
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.moving_ai import moving_ai_content
-from usarmjx.models.files.pictures import check_picture
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.roads_file import is_route_network, roads_content
-from usarmjx.models.files.scale_notes import scale_notes
 from usarmjx.models.files.sdf import sdf_content
 from usarmjx.models.files.sdf_solids import placed_pieces
 from usarmjx.models.files.sdf_tree import SDF_ROOTS
-from usarmjx.models.files.sources import MeshFile, TerrainFile, mesh_content, terrain_content
 from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content
-from usarmjx.models.files.world_meshes import world_pieces
 from usarmjx.models.files.xml_lines import root_tag
-from usarmjx.models.files.yaml_file import arena_of_yaml, complete_arena
+from usarmjx.models.files.yaml_file import (
+    MeshFile,
+    TerrainFile,
+    arena_of_yaml,
+    complete_arena,
+    mesh_content,
+    scale_notes,
+    terrain_content,
+)
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh, Shape
 

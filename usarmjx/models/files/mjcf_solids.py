@@ -7,7 +7,7 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import angles_from_mat, flip_angles, flip_vector
-from usarmjx.models.compile.inertia import Inertia
+from usarmjx.models.compile.geoms import Inertia
 from usarmjx.models.types.robot import Vec3
 from usarmjx.models.types.shapes import Shape
 

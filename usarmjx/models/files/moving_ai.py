@@ -8,8 +8,7 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.files.content import Content
-from usarmjx.models.files.grid_cover import GridFrame, cover
-from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, MAX_MAP_BOXES
+from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, MAX_MAP_BOXES, GridFrame, cover
 from usarmjx.models.types.arena import START_ELEVATION, StartPose
 
 DEFAULT_CELL = 1.0

@@ -1,17 +1,20 @@
-"""Drives of robots from files: those that plugins state, else those that wheels or rotors suggest."""
+"""Drives of robots from files: those of plugins, wheels or rotors; joints and wheels that bear the robot."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import GRAVITY
+from usarmjx.models.compile.kinematic_tree import lowest_point, robot_at_rest
 from usarmjx.models.drives import Ackermann, Drive, NoDrive, RotaryWing, SkidSteer
 from usarmjx.models.drives.ackermann import Wheel
 from usarmjx.models.files.body_tree import BodyTree
 from usarmjx.models.files.robot_source import RobotSource, StatedDrive, listed
-from usarmjx.models.types.shapes import Shape
+from usarmjx.models.types.robot import Part, RobotSpec
+from usarmjx.models.types.shapes import SURFACES, Shape, Tyre
 
 SIDEWAYS, UPRIGHT = 0.9, 0.9
 """Smallest cosine of a wheel's axis to the lateral one, and of a steering axis to the vertical."""
@@ -31,6 +34,9 @@ FLIGHT_DRAG = 1.0
 """Drag coefficient of its box (chosen)."""
 THRUST_RATIO = 2.0
 """Thrust over weight of rotors without a limit (chosen)."""
+MAX_SINKING = 1e-3
+"""Depth to which a wheel may sink under its share of the weight [m]."""
+STOCK_SLIP = Tyre().slip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +76,7 @@ def rolling_parts(tree: BodyTree) -> list[RollingPart]:
     mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
     found: list[RollingPart] = []
     free = {owner for owner in tree.owners[1:] if tree.turns_freely(owner)}
-    lows = {owner: lowest_point(tree, owner, data) for owner in tree.owners}
+    lows = {owner: lowest_point_of_part(tree, owner, data) for owner in tree.owners}
     ground = min(lows.values())
     for owner in tree.owners[1:]:
         if owner in free:
@@ -111,7 +117,7 @@ def _bears(tree: BodyTree, owner: int, data: mujoco.MjData) -> bool:
     )
 
 
-def lowest_point(tree: BodyTree, owner: int, data: mujoco.MjData) -> float:
+def lowest_point_of_part(tree: BodyTree, owner: int, data: mujoco.MjData) -> float:
     """Return the height of a part's lowest point in the chassis' axes [m]; infinite without solids."""
     model, root = tree.model, tree.owners[0]
     mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
@@ -316,3 +322,76 @@ def rotor_drive(model: mujoco.MjModel, root: int, rotors: list[int], size: np.nd
         max_torque=(lift * arm / 2, lift * arm / 2, lift * arm / 10),
         acceleration_tilt=FLIGHT_TILT,
     )
+
+
+def borne_inertias(tree: BodyTree) -> dict[int, float]:
+    """Return the inertia that each bearing joint moves while its feet stand [kg m2 or kg], by part.
+
+    A robot whose chassis reaches the ground is borne by that, and by no joint.
+    """
+    data, model = at_rest(tree), tree.model
+    lows = {owner: lowest_point_of_part(tree, owner, data) for owner in tree.owners}
+    ground = min(lows.values())
+    feet = {owner for owner, low in lows.items() if low <= ground + MAX_LIFT}
+    if tree.owners[0] in feet:
+        return {}
+    share = float(model.body_subtreemass[tree.owners[0]]) / len(feet)
+    found: dict[int, float] = {}
+    for foot in feet:
+        place = np.mean([data.geom_xpos[geom] for geom in tree.touching_geoms(foot)], axis=0)
+        up = data.xmat[tree.owners[0]].reshape(3, 3)[:, 2]
+        place = place + up * (ground - float(up @ (place - data.xpos[tree.owners[0]])))
+        owner = foot
+        while owner != tree.owners[0]:
+            joint = tree.joint_of(owner)
+            lever = 1.0
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
+                lever = float(np.linalg.norm(np.cross(data.xaxis[joint], place - data.xanchor[joint])))
+            found[owner] = found.get(owner, 0.0) + share * lever**2
+            owner = tree.holder_of(owner)
+    return found
+
+
+def with_firm_wheels(robot: RobotSpec, wheels: Collection[str]) -> RobotSpec:
+    """Return a robot whose wheels on the ground sink at most by about `MAX_SINKING`.
+
+    MuJoCo makes a contact as soft as the body is light that it touches, whatever rests on that body: under a
+    force f the depth is (1 - d) f w t^2 d, for impedance d, inverse weight w of the body and time constant t.
+
+    Args:
+        robot: The robot.
+        wheels: Names of the parts that roll.
+    """
+    parts = [part for part in robot.parts if part.name in wheels and part.shapes]
+    if not parts:
+        return robot
+    model, data, own = robot_at_rest(robot)
+    lows = {
+        part.name: lowest_point(model, data, model.geom_bodyid == model.body(part.name).id) for part in parts
+    }
+    ground = lowest_point(model, data, own)
+    borne = [part for part in parts if lows[part.name] <= ground + MAX_LIFT]
+    if not borne:
+        return robot
+    force = float(np.sum(model.body_mass)) * float(np.abs(model.opt.gravity[2])) / len(borne)
+    firm = {
+        part.name: MAX_SINKING / depth
+        for part in borne
+        if (depth := _depth(part, force * float(model.body_invweight0[model.body(part.name).id, 0])))
+        > MAX_SINKING
+    }
+    changed = tuple(_firmer(part, firm[part.name]) if part.name in firm else part for part in robot.parts)
+    return replace(robot, parts=changed)
+
+
+def _depth(part: Part, acceleration: float) -> float:
+    """Return how deep a wheel sinks [m], from the acceleration of its free body by the same force [m/s2]."""
+    surface = SURFACES[part.shapes[0].surface]
+    impedance = surface.solimp[1]
+    return (1.0 - impedance) * impedance * surface.solref[0] ** 2 * acceleration
+
+
+def _firmer(part: Part, share: float) -> Part:
+    """Return a wheel whose contact sinks to a share of its depth."""
+    tyre = Tyre(min_slip=STOCK_SLIP * share)
+    return replace(part, shapes=tuple(replace(shape, tyre=tyre) for shape in part.shapes))

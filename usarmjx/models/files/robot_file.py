@@ -12,12 +12,9 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError, SpecError, quoted
 from usarmjx.base.registry import is_name
 from usarmjx.base.settings.files import read_bytes
-from usarmjx.models.compile.measure import chassis_heights, with_measurements
+from usarmjx.models.compile.kinematic_tree import chassis_heights, with_measurements
 from usarmjx.models.drives import Ackermann, Drive, SkidSteer
-from usarmjx.models.files.bearing import borne_inertias
 from usarmjx.models.files.body_tree import BodyTree
-from usarmjx.models.files.file_motors import DEFAULT_TRAVEL, motor_with_limits, motors_of
-from usarmjx.models.files.firm_wheels import with_firm_wheels
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
 from usarmjx.models.files.reader_process import expand_xacro, try_model
@@ -25,17 +22,19 @@ from usarmjx.models.files.resources import Resources, mesh_pieces
 from usarmjx.models.files.robot_drive import (
     DEFAULT_SPIN,
     MIN_ROTORS,
+    borne_inertias,
     find_drive,
     rolling_parts,
     rotor_drive,
     wheel_torque,
+    with_firm_wheels,
 )
-from usarmjx.models.files.robot_mjcf import read_mjcf_robot
+from usarmjx.models.files.robot_mjcf import DEFAULT_TRAVEL, motor_with_limits, motors_of, read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
 from usarmjx.models.files.sdf_robot import sdf_as_urdf
 from usarmjx.models.files.sdf_tree import SDF_ROOTS
+from usarmjx.models.files.urdf import mend_urdf, read_urdf
 from usarmjx.models.files.urdf_robot import read_urdf_robot
-from usarmjx.models.files.urdf_tree import mend_urdf, read_urdf
 from usarmjx.models.files.xml_lines import root_tag
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 

@@ -1,30 +1,35 @@
 """Worlds and models of Gazebo (SDF) as arenas: fixed solids, loose objects, doors, lamps and start poses."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.models.compile.inertia import Inertia, combine_inertias, described_in_arena
+from usarmjx.models.compile.geoms import Inertia, add_geom, combine_inertias, described_in_arena
 from usarmjx.models.files.content import Content, corners_of
+from usarmjx.models.files.mesh_solids import SMALL, Use
 from usarmjx.models.files.mjcf import Hinge, door_of
 from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_source import listed, plain_name, unused_name
-from usarmjx.models.files.sdf_links import (
+from usarmjx.models.files.sdf_solids import FIXTURE, GREY, SdfSolids, angles_of, at_of, colour_of, volume_of
+from usarmjx.models.files.sdf_tree import (
+    WORLD,
+    SdfFiles,
     SdfJoint,
     SdfLink,
+    SdfModel,
     all_models,
     drive_plugins,
+    inverse,
     joint_end,
     joints_of,
     links_of,
+    read_pose,
 )
-from usarmjx.models.files.sdf_solids import FIXTURE, GREY, SdfSolids, angles_of, at_of, colour_of, volume_of
-from usarmjx.models.files.sdf_tree import WORLD, SdfFiles, SdfModel, inverse, read_pose
-from usarmjx.models.files.world_meshes import SMALL, Use
 from usarmjx.models.files.xml_lines import LinedElement, numbers_of
 from usarmjx.models.types.arena import START_ELEVATION, Door, Light, LooseObject, StartPose
 from usarmjx.models.types.shapes import BodyInertia, Rgba, Shape
@@ -49,6 +54,8 @@ SETTINGS = (
 )
 """Elements about the physics and pictures of Gazebo, which are ours here."""
 WORLD_CHILDREN = ("model", "include", "light", "frame", "state", "plugin", "name", "spherical_coordinates")
+MAX_BELOW = 1.0
+"""Height above a point from which the ground under it is searched [m]."""
 
 
 def sdf_content(path: Path, surface: str = "", *, resources: Resources | None = None) -> Content:
@@ -429,8 +436,6 @@ class _SdfReader:
 
     def _ground(self, x: float, y: float, z: float) -> float:
         """Return the height of the highest solid under a point, or of the floor [m]."""
-        from usarmjx.models.files.ground import ground_under
-
         return ground_under(self._shapes, (x, y, z), floor=self._is_model or self._solids.floors > 0)
 
 
@@ -474,3 +479,34 @@ def _fixed(thing: LooseObject) -> Iterator[Shape]:
     for own, placed in zip(thing.shapes, shapes_in_arena(thing), strict=True):
         shape = replace(own, at=placed.at, rotation=placed.rotation, mass=0.0)
         yield shape if shape.surface == FIXTURE else replace(shape, surface=surface_of(shape))
+
+
+def ground_under(shapes: Sequence[Shape], at: tuple[float, float, float], *, floor: bool) -> float:
+    """Return the height of the highest fixed solid under a point, or of the floor; else its own [m].
+
+    Args:
+        shapes: Fixed solids, of which those that nothing touches do not count.
+        at: The point.
+        floor: Whether there is a floor at height 0.
+    """
+    x, y, z = at
+    near = [shape for shape in shapes if shape.surface != "fixture" and _covers(shape, x, y)]
+    found = [0.0] if floor else []
+    if near:
+        spec = mujoco.MjSpec()
+        for number, shape in enumerate(near):
+            add_geom(spec, spec.worldbody, str(number), shape)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        start = np.array([x, y, z + MAX_BELOW])
+        geom = np.zeros(1, np.int32)
+        distance = mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), None, 1, -1, geom, None)
+        if geom[0] >= 0:
+            found.append(float(start[2] - distance))
+    return max((height for height in found if height <= z + MAX_BELOW), default=z)
+
+
+def _covers(shape: Shape, x: float, y: float) -> bool:
+    low, high = corners_of(shape)
+    return bool(low[0] <= x <= high[0] and low[1] <= y <= high[1])

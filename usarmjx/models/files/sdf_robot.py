@@ -8,17 +8,20 @@ from usarmjx.base.transforms import flip_angles
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_source import listed
-from usarmjx.models.files.sdf_links import (
+from usarmjx.models.files.sdf_tree import (
     FREE_TURN,
+    WORLD,
+    SdfFiles,
     SdfJoint,
     SdfLink,
+    SdfModel,
     all_models,
     drive_plugins,
+    inverse,
     joint_end,
     joints_of,
     links_of,
 )
-from usarmjx.models.files.sdf_tree import WORLD, SdfFiles, SdfModel, inverse
 from usarmjx.models.files.xml_lines import NO_POSE, LinedElement
 
 MOVING = {"revolute": "revolute", "hinge": "revolute", "continuous": "continuous", "prismatic": "prismatic"}

@@ -16,7 +16,7 @@ from usarmjx.models.files.meshes import mesh_vertices
 from usarmjx.models.files.reader_process import read_pieces
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_source import JointLimit, MimicJoint, RobotSource, listed
-from usarmjx.models.files.urdf_tree import form_of, frame_of, joints_by_parent, lengths_of, link_at
+from usarmjx.models.files.urdf import form_of, frame_of, joints_by_parent, lengths_of, link_at
 from usarmjx.models.files.xml_lines import MAX_DEPTH, NO_POSE, LinedElement, attribute_numbers
 
 LIGHT = 1e-3

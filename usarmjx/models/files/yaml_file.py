@@ -1,4 +1,4 @@
-"""An arena's YAML file: the fields of `ArenaSpec`, and other files as sources of solids."""
+"""An arena's YAML file: the fields of `ArenaSpec` with their rules, and other files as sources of solids."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -10,37 +10,94 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError, SpecError
-from usarmjx.base.settings import NOT_NEGATIVE, FileValue, Setting
+from usarmjx.base.registry import is_name
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, FileValue, Setting
 from usarmjx.base.settings.reader import Reader
+from usarmjx.base.settings.yaml_file import read_yaml
 from usarmjx.base.transforms import Vec3
+from usarmjx.models.compile.geoms import arena_inertia
+from usarmjx.models.compile.reachability import shapes_in_arena
+from usarmjx.models.compile.victims import build_victim_table, check_victim
 from usarmjx.models.files.content import (
     EMPTY_EXTENT,
+    MAX_COORDINATE,
     Content,
     Rectangle,
+    corners_of,
     extent_of,
     free_start_pose,
     merge_contents,
+    transform_content,
 )
 from usarmjx.models.files.images import read_heights
-from usarmjx.models.files.meshes import SeenBy, checked_corners, faces_of_file, vertices_of_file
-from usarmjx.models.files.resources import Resources
-from usarmjx.models.files.rules import ARENA_RULES, arena_problem
-from usarmjx.models.files.scale_notes import scale_notes
-from usarmjx.models.files.sources import (
-    SOLID_SOURCES,
-    GridFile,
-    MapFile,
-    MeshFile,
-    ModelFile,
-    RoadFile,
-    Scale,
-    TerrainFile,
+from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_grid_content
+from usarmjx.models.files.meshes import (
+    NO_MESH,
+    SeenBy,
+    checked_corners,
+    faces_of_file,
+    load_convex_pieces,
+    shapes_of,
+    vertices_of_file,
 )
-from usarmjx.models.types.arena import ArenaSpec, StartPose
-from usarmjx.models.types.shapes import HeightField, Mesh
+from usarmjx.models.files.mjcf import mjcf_content
+from usarmjx.models.files.moving_ai import DEFAULT_CELL, moving_ai_content
+from usarmjx.models.files.resources import Resources
+from usarmjx.models.files.roads_file import roads_content
+from usarmjx.models.files.sdf import sdf_content
+from usarmjx.models.files.stage import stage_content
+from usarmjx.models.files.urdf import urdf_content
+from usarmjx.models.types.arena import (
+    ArenaSpec,
+    Door,
+    FalseAlarm,
+    GpsOrigin,
+    LooseObject,
+    StartPose,
+    Victim,
+    Water,
+)
+from usarmjx.models.types.shapes import (
+    FENDER,
+    MATERIALS,
+    OPAQUE,
+    SURFACES,
+    ZERO,
+    BodyInertia,
+    HeightField,
+    Mesh,
+    Rgba,
+    Shape,
+    texture_problem,
+)
 
+SIZES = {
+    "box": (3, "half lengths along x, y and z"),
+    "sphere": (1, "the radius"),
+    "capsule": (2, "radius and half length without the balls"),
+    "cylinder": (2, "radius and half length"),
+    "ellipsoid": (3, "radii along x, y and z"),
+    "hfield": (3, "half lengths along x and y, and the ground's thickness below the lowest point"),
+}
+"""Number and meaning of the size numbers of a kind of solid; a mesh has none."""
+MAX_SPAN, MIN_SPAN = 200.0, 0.05
+"""Lengths of an arena outside which its scale is doubted [m]."""
+SCALES = (0.001, 0.01, 0.0254, 0.3048)
+"""Factors to metres that are proposed: of millimetres, centimetres, inches, feet."""
+LEAST_SPAN, GOOD_SPAN = 0.3, 100.0
+"""Lengths of an arena between which a factor is proposed [m]."""
+LARGEST_SCALE = 1000.0
+"""Factor that is proposed for an arena that is too small: it was scaled to metres twice."""
+REMEDIES = {
+    **dict.fromkeys((".obj", ".stl", ".dae"), "load it with meshes: [{{file: {name}, scale: {scale:g}}}]"),
+    ".map": "load it with moving_ai: {{file: {name}, cell: {cell:.3g}}}",
+    ".scen": "load it with moving_ai: {{file: {name}, cell: {cell:.3g}}}",
+    ".rndf": "",
+}
+"""Lines to write for a file of a suffix; empty: such files are large."""
+GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
+LOOSE_SURFACE = "loose"
 T = TypeVar("T")
-
 MAX_SOLIDS = 50_000
 """Largest number of solids and victims of an arena."""
 MAX_OTHER_FILES = {
@@ -49,6 +106,340 @@ MAX_OTHER_FILES = {
     **dict.fromkeys(("mesh", "meshes", "decomposition"), 1000),
 }
 """Largest number of files under each key that names other files."""
+
+
+def _shape(shape: Shape) -> str:
+    if shape.material == FENDER and shape.kind != "box":
+        return f"a fender is a box, not a {shape.kind}"
+    for kind, key, data in (("mesh", "mesh", shape.mesh), ("hfield", "heights", shape.heights)):
+        if (shape.kind == kind) != (data is not None):
+            return f"kind {kind} and the key {key!r} go together; this is a {shape.kind}"
+    if shape.kind in SIZES:
+        count, meaning = SIZES[shape.kind]
+        if len(shape.size) != count or min(shape.size) <= 0:
+            return f"size {list(shape.size)} of a {shape.kind}: wants {count} above zero, {meaning} [m]"
+    return texture_problem(shape.texture)
+
+
+def _loose(loose: LooseObject) -> str:
+    if loose.inertia is not None and (loose.inertia.mass <= 0 or not _is_inertia(loose.inertia)):
+        return f"loose object {loose.name!r}: inertia is that of no body: {loose.inertia}"
+    if loose.inertia is None and sum(shape.mass for shape in loose.shapes) <= 0:
+        return f"loose object {loose.name!r} has no mass: give one of its shapes a mass [kg]"
+    if any(shape.kind == "hfield" for shape in loose.shapes):
+        return f"loose object {loose.name!r} is a terrain; those stay where they are"
+    return ""
+
+
+def _is_inertia(stated: BodyInertia) -> bool:
+    """Return whether a body can have these moments: all above 0, none above the sum of the others."""
+    tensor = arena_inertia(stated).tensor
+    if not np.isfinite(tensor).all():
+        return False
+    values = np.linalg.eigvalsh(tensor)
+    return bool(values[0] > 0 and values[2] <= (values[0] + values[1]) * (1 + 1e-6))
+
+
+def _door(door: Door) -> str:
+    if door.limits[0] >= door.limits[1]:
+        return f"door {door.name!r}: limits {list(door.limits)}: wants lowest and highest angle"
+    return ""
+
+
+def _water(water: Water) -> str:
+    if all(low < high for low, high in zip(water.low, water.high, strict=True)):
+        return ""
+    return f"low {list(water.low)} is not below high {list(water.high)} in x, y and z"
+
+
+def _victim(victim: Victim) -> str:
+    return _refusal(lambda: check_victim(victim))
+
+
+def _alarm(alarm: FalseAlarm) -> str:
+    return _refusal(lambda: build_victim_table((), (alarm,)))
+
+
+def _refusal(action: Callable[[], object]) -> str:
+    try:
+        action()
+    except SpecError as error:
+        return str(error)
+    return ""
+
+
+def arena_problem(arena: ArenaSpec) -> str:
+    """Return the error of an arena; empty: it is valid."""
+    solids = [*arena.shapes, *(shape for one in arena.loose for shape in one.shapes)]
+    places = [one.at for one in (*solids, *arena.starts, *arena.loose, *arena.doors, *arena.victims)]
+    lengths = [*places, *(shape.size for shape in solids), *arena.extent]
+    farthest = max((abs(number) for numbers in lengths for number in numbers), default=0.0)
+    if not farthest <= MAX_COORDINATE:
+        return f"something lies or reaches {farthest:g} m from the origin; at most {MAX_COORDINATE:g}"
+    for start in arena.starts:
+        if not is_name(start.tag):
+            return f"start {start.tag!r}: a tag is one word of ASCII without braces"
+    for kind, records in (("loose object", arena.loose), ("door", arena.doors), ("victim", arena.victims)):
+        twice = [name for name, count in Counter(record.name for record in records).items() if count > 1]
+        if twice:
+            return f"two {kind}s are called {twice[0]!r}; names are unique"
+    if any(low >= high for low, high in arena.extent):
+        return f"extent {[list(pair) for pair in arena.extent]}: wants [[x0, x1], [y0, y1]], lowest first"
+    return ""
+
+
+ARENA_RULES: dict[type, Callable[[Any], str]] = {
+    ArenaSpec: arena_problem,
+    Door: _door,
+    FalseAlarm: _alarm,
+    LooseObject: _loose,
+    Shape: _shape,
+    Victim: _victim,
+    Water: _water,
+}
+"""Check of each dataclass, which returns its error; empty: it is valid."""
+
+
+def scale_notes(arena: ArenaSpec, path: Path) -> tuple[str, ...]:
+    """Return a doubt about an arena's scale, with a proposal; empty: its size is plausible.
+
+    Args:
+        arena: The arena.
+        path: Its file.
+    """
+    shapes = [*arena.shapes, *(shape for one in arena.loose for shape in shapes_in_arena(one))]
+    if not shapes or arena.gps is not None:
+        return ()
+    corners = np.concatenate([corners_of(shape) for shape in shapes])
+    size = corners.max(0) - corners.min(0)
+    span = float(size.max())
+    if MIN_SPAN <= span <= MAX_SPAN:
+        return ()
+    remedy = REMEDIES.get(
+        path.suffix.lower(), "mind the units of its file; meshes have a `scale`, as {scale:g}"
+    )
+    scale = (
+        LARGEST_SCALE
+        if span < MIN_SPAN
+        else next((s for s in SCALES if LEAST_SPAN <= s * span <= GOOD_SPAN), 0.001)
+    )
+    said = remedy.format(name=path.name, scale=scale, cell=GOOD_SPAN / span)
+    if not said:
+        return ()
+    limit = f"over {MAX_SPAN:g} m" if span > MAX_SPAN else f"under {100 * MIN_SPAN:g} cm"
+    shown = " x ".join(f"{length:.4g}" for length in size.tolist())
+    return (f"{path}: its solids span {shown} m, {limit}: if its unit is not the metre, {said}",)
+
+
+class Scale(tuple[float, float, float]):
+    """Factors of x, y and z of a mesh; a file may give one number for all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFile:
+    """A file of MJCF, URDF, SDF or Stage: see `mjcf`, `urdf`, `sdf` and `stage`.
+
+    Attributes:
+        file: The file, from the YAML file's folder.
+        at: Position of its origin in the arena.
+        yaw: Rotation about the vertical [rad].
+        surface: Surface of its fixed solids; empty: by their form.
+    """
+
+    file: Path
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+    surface: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshFile:
+    """A mesh file: see `meshes`.
+
+    Attributes:
+        file: OBJ, STL or COLLADA file.
+        at: Position of its origin.
+        rotation: Roll, pitch, yaw [rad].
+        scale: Factors that convert its numbers to metres.
+        surface: Surface; empty: by the form of each piece, or "loose".
+        material: Material.
+        rgba: Colour.
+        mass: Mass [kg]; above zero it is one loose object, else fixed.
+        name: Name of the loose object; empty: the file's.
+        hull: Whether contacts use the hulls of pieces that are not convex.
+        rays: Geometry of those for rays: their faces, or the hull too.
+        decomposition: Files with convex pieces that replace it.
+    """
+
+    file: Path
+    at: Vec3 = ZERO
+    rotation: Vec3 = ZERO
+    scale: Scale = Scale((1.0, 1.0, 1.0))  # noqa: RUF009 - a tuple
+    surface: str = ""
+    material: Annotated[str, Setting(choices=MATERIALS)] = OPAQUE
+    rgba: Rgba = GREY
+    mass: Annotated[float, NOT_NEGATIVE] = 0.0
+    name: str = ""
+    hull: bool = False
+    rays: SeenBy = "faces"
+    decomposition: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TerrainFile:
+    """Terrain from a grey image.
+
+    Attributes:
+        file: PNG file of 8 or 16 bits.
+        size: Lengths along x and y [m].
+        height: Height of white above black [m].
+        at: Position of its middle, at the height of black.
+        yaw: Rotation about the vertical [rad].
+        base: Thickness of the ground below black [m].
+        surface: Surface.
+        rgba: Colour.
+    """
+
+    file: Path
+    size: Annotated[tuple[float, float], POSITIVE]
+    height: Annotated[float, POSITIVE]
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+    base: Annotated[float, POSITIVE] = 0.1
+    surface: Annotated[str, Setting(choices=tuple(SURFACES))] = "ground"
+    rgba: Rgba = (0.45, 0.5, 0.35, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapFile:
+    """A map of ROS' map_server: see `maps`.
+
+    Attributes:
+        file: Its YAML file.
+        height: Height of the walls [m].
+        unknown: Treatment of unknown cells.
+        at: Position of the map's origin.
+        yaw: Rotation about the vertical [rad].
+    """
+
+    file: Path
+    height: Annotated[float, POSITIVE] = DEFAULT_WALL_HEIGHT
+    unknown: Unknown = "free"
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridFile:
+    """A map or scenario of MovingAI: see `moving_ai`.
+
+    Attributes:
+        file: Its file, which ends in .map or .scen.
+        cell: Side of a cell [m].
+        height: Height of the walls [m].
+        at: Position of the outer corner of the lowest left cell.
+        yaw: Rotation about the vertical [rad].
+    """
+
+    file: Path
+    cell: Annotated[float, POSITIVE] = DEFAULT_CELL
+    height: Annotated[float, POSITIVE] = DEFAULT_WALL_HEIGHT
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoadFile:
+    """A route network: see `roads_file`.
+
+    Attributes:
+        file: Its RNDF.
+        origin: Latitude and longitude of the arena's origin [degrees]; None: the middle of the network.
+    """
+
+    file: Path
+    origin: GpsOrigin | None = None
+
+
+def mesh_content(mesh: MeshFile) -> Content:
+    """Return a mesh file as fixed solids or a loose object."""
+    files = mesh.decomposition or (mesh.file,)
+    pieces = partial(load_convex_pieces, scale=mesh.scale, hull=mesh.hull, rays=mesh.rays)
+    found = [piece for file in files for piece in pieces(file)]
+    like = Shape(kind="mesh", mesh=NO_MESH, material=mesh.material, rgba=mesh.rgba)
+    if mesh.mass <= 0:
+        like = replace(like, at=mesh.at, rotation=mesh.rotation, surface=mesh.surface)
+        return Content(shapes=shapes_of(found, like))
+    like = replace(like, surface=mesh.surface or LOOSE_SURFACE)
+    solids = shapes_of(found, like, mesh.mass)
+    name = mesh.name or mesh.file.stem
+    return Content(loose=(LooseObject(name=name, at=mesh.at, rotation=mesh.rotation, shapes=solids),))
+
+
+def terrain_content(terrain: TerrainFile) -> Content:
+    """Return a grey image as terrain."""
+    x, y = terrain.size
+    shape = Shape(
+        kind="hfield",
+        size=(x / 2, y / 2, terrain.base),
+        at=terrain.at,
+        rotation=(0.0, 0.0, terrain.yaw),
+        surface=terrain.surface,
+        rgba=terrain.rgba,
+        heights=HeightField(read_heights(terrain.file, terrain.height)),
+    )
+    return Content(shapes=(shape,))
+
+
+def map_file_content(plan: MapFile) -> Content:
+    """Return a map as walls."""
+    return transform_content(
+        occupancy_grid_content(read_yaml(plan.file, ArenaFileError), plan.height, plan.unknown),
+        plan.at,
+        plan.yaw,
+    )
+
+
+def grid_content(grid: GridFile) -> Content:
+    """Return a map or scenario of MovingAI in its pose."""
+    return transform_content(moving_ai_content(grid.file, grid.cell, grid.height), grid.at, grid.yaw)
+
+
+def road_file_content(roads: RoadFile) -> Content:
+    """Return a route network as markings, kerbs and start poses."""
+    return roads_content(roads.file, roads.origin)
+
+
+def model_content(reader: Callable[[Path, str], Content], model: ModelFile) -> Content:
+    """Return a model file's content in its pose."""
+    return transform_content(reader(model.file, model.surface), model.at, model.yaw)
+
+
+def _urdf(model: ModelFile, resources: Resources) -> Content:
+    return model_content(partial(urdf_content, resources=resources), model)
+
+
+def _sdf(model: ModelFile, resources: Resources) -> Content:
+    return model_content(partial(sdf_content, resources=resources), model)
+
+
+def _plain(reader: Callable[[Any], Content]) -> Callable[[Any, Resources], Content]:
+    """Return a reader of files that name no packages."""
+    return lambda source, _: reader(source)
+
+
+SOLID_SOURCES: dict[str, Callable[[Any, Resources], Content]] = {
+    "mjcf": _plain(partial(model_content, mjcf_content)),
+    "urdf": _urdf,
+    "sdf": _sdf,
+    "stage": _plain(partial(model_content, stage_content)),
+    "meshes": _plain(mesh_content),
+    "heightfield": _plain(terrain_content),
+    "map": _plain(map_file_content),
+    "moving_ai": _plain(grid_content),
+    "rndf": _plain(road_file_content),
+}
+"""Keys of other files, with the readers of their content."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,6 @@ limits. Begin with `arena.generate`.
 """
 
 from usarmjx.models.generate.arena import generate, generate_many
-from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.kinds import KINDS, Budget, budget
+from usarmjx.models.generate.kinds import KINDS, Budget, Difficulty, budget
 
 __all__ = ["KINDS", "Budget", "Difficulty", "budget", "generate", "generate_many"]

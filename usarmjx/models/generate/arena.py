@@ -16,9 +16,15 @@ from usarmjx.models.compile.reachability import (
 from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import contents
 from usarmjx.models.generate.contents import ArenaBuilder, add_victim, place_obstacles, ring_height
-from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.kinds import DEFAULT_STARTS, KINDS, budget
-from usarmjx.models.generate.obstacles import MAX_RIDGE_SLOPE, OBSTACLES
+from usarmjx.models.generate.kinds import DEFAULT_STARTS, KINDS, Difficulty, budget
+from usarmjx.models.generate.obstacles import (
+    MAX_RIDGE_SLOPE,
+    MIN_TWO_RAMP_COLUMNS,
+    OBSTACLES,
+    STOREY,
+    STOREY_CELLS,
+    second_floor,
+)
 from usarmjx.models.generate.plan import (
     CELL,
     THICKNESS,
@@ -27,7 +33,6 @@ from usarmjx.models.generate.plan import (
     doubled,
     edge,
 )
-from usarmjx.models.generate.structures import MIN_TWO_RAMP_COLUMNS, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import Shape
 

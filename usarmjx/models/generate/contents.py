@@ -15,12 +15,21 @@ from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.compile.raster import half_lengths
 from usarmjx.models.compile.reachability import RobotFootprint, shapes_in_arena
 from usarmjx.models.compile.victims import rest_height
-from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.kinds import DEFAULT_STARTS, ArenaKind, counts
-from usarmjx.models.generate.obstacles import OBSTACLES, RIDGE_SLOPE_RATE, highest_obstacle, obstacle_height
+from usarmjx.models.generate.kinds import DEFAULT_STARTS, ArenaKind, Difficulty, counts
+from usarmjx.models.generate.obstacles import (
+    OBSTACLES,
+    RIDGE_SLOPE_RATE,
+    STONE,
+    STRUCTURE_SIZE,
+    WOOD,
+    block,
+    highest_obstacle,
+    lerp,
+    obstacle_height,
+    void,
+)
 from usarmjx.models.generate.plan import CELL, DIRECTIONS, START_CELL, THICKNESS, Cell, CellGrid, edge, middle
 from usarmjx.models.generate.random_stream import RandomStream
-from usarmjx.models.generate.structures import STONE, STRUCTURE_SIZE, WOOD, block, lerp, void
 from usarmjx.models.types.arena import (
     START_ELEVATION,
     HelpSound,

@@ -1,7 +1,10 @@
-"""Obstacles that robots have to cross, and their heights by measured success.
+"""Obstacles that robots have to cross, their heights by measured success, and structures that fill cells.
 
 Each covers a cell from wall to wall. Their height depends on the robot's step and the roughness; `usarmjx
 arena check --drive` proves them passable. `contents.place_obstacles` puts them where no way leads around.
+
+Each maker gets draws, the cell's middle and a roughness from 0 to 1. Its solids stay within `STRUCTURE_SIZE`
+around the middle, clear of all walls. Roughness changes their heights, never their number or arrangement.
 """
 
 import json
@@ -13,11 +16,27 @@ from importlib.resources import files
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.models.compile.reachability import RobotFootprint
-from usarmjx.models.generate.plan import CELL, DIRECTIONS
+from usarmjx.models.generate.plan import CELL, DIRECTIONS, THICKNESS, Cell, middle
 from usarmjx.models.generate.random_stream import RandomStream
-from usarmjx.models.generate.structures import CONCRETE, WOOD, block, lerp, slope
-from usarmjx.models.types.shapes import Position2D, Shape
+from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
+STRUCTURE_SIZE = 1.1
+"""Side of the square that contains a structure [m]."""
+RAMP = math.radians(15)
+"""Slope of ramps, as in the NIST arenas."""
+STOREY_CELLS = 2
+"""Length of the ramp to the second floor, in cells."""
+STOREY = STOREY_CELLS * CELL * math.tan(RAMP)
+"""Height of the second floor [m]: 64 cm."""
+DECK = 0.1
+"""Thickness of decks and slabs [m]."""
+STEP_FIELD_POSTS = 4
+"""Number of posts of a step field along each side."""
+WOOD = (0.7, 0.55, 0.35, 1.0)
+STONE = (0.6, 0.6, 0.6, 1.0)
+CONCRETE = (0.55, 0.53, 0.5, 1.0)
+Maker = Callable[[RandomStream, Position2D, float], list[Shape]]
+"""Maker of a structure from draws, the cell's middle [m] and a roughness."""
 MIN_HEIGHT_RATIO, MAX_HEIGHT_RATIO = 0.3, 0.95
 """Heights of steps at roughness 0 and 1, over the robot's step."""
 RIDGE_SLOPE_RATE, MAX_RIDGE_SLOPE = math.radians(350), math.radians(40)
@@ -28,15 +47,159 @@ BARS = 3
 """Number of bars across a way."""
 MAX_OBSTACLE_SOLIDS = POSTS**2
 """Largest number of solids of one obstacle."""
-
 Obstacle = Callable[[RandomStream, Position2D, float, int], list[Shape]]
 """Maker of an obstacle from draws, cell's middle [m], height [m] and direction in quarter turns."""
-
 CROSSINGS_FILE = "crossings.json"
 """Table of measured crossings, packaged beside this module."""
-
 SuccessCurve = Sequence[tuple[float, float]]
 """Heights over the robot's step, ascending, with the share of drives that crossed such obstacles."""
+
+
+def lerp(low: float, high: float, roughness: float) -> float:
+    """Return the value between `low` at roughness 0 and `high` at 1."""
+    return low + (high - low) * roughness
+
+
+def block(
+    at: Position2D, size: tuple[float, float, float], *, z: float = 0.0, yaw: float = 0.0, rgba: Rgba = STONE
+) -> Shape:
+    """Return a box of full lengths `size` that stands at height `z` [m]."""
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return Shape(
+        kind="box", size=half, at=(*at, z + half[2]), rotation=(0.0, 0.0, yaw), surface="ground", rgba=rgba
+    )
+
+
+def slope(at: Position2D, run: float, width: float, angle: float, uphill: int, rgba: Rgba = WOOD) -> Shape:
+    """Return a slab whose upper face rises out of the floor.
+
+    Args:
+        at: Middle of its footprint [m].
+        run: Length of the footprint [m].
+        width: Width [m].
+        angle: Slope of its upper face [rad].
+        uphill: Direction of climb, in quarter turns from x.
+        rgba: Colour.
+    """
+    ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
+    back = DECK / 2 * math.sin(angle)
+    z = run / 2 * math.tan(angle) - DECK / 2 * math.cos(angle)
+    return Shape(
+        kind="box",
+        size=(run / math.cos(angle) / 2, width / 2, DECK / 2),
+        at=(at[0] + back * ahead[0], at[1] + back * ahead[1], z),
+        rotation=(0.0, -angle, uphill * math.pi / 2),
+        surface="ground",
+        rgba=rgba,
+    )
+
+
+def rubble(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
+    """Return a slab that leans, and three blocks around it, all turned at random."""
+    shapes: list[Shape] = []
+    for i, (sx, sy) in enumerate(draw.shuffled(((1, 1), (1, -1), (-1, 1), (-1, -1)))):
+        spot = (at[0] + 0.27 * sx, at[1] + 0.27 * sy)
+        yaw = math.radians(draw.randint(180))
+        # Within a circle of 0.28 m about the middle of a quarter.
+        length, width = draw.randint_between(25, 45) / 100, draw.randint_between(15, 30) / 100
+        height = lerp(0.06, 0.4, roughness) * draw.randint_between(50, 100) / 100
+        if i == 0:
+            tilt = lerp(0.1, 0.6, roughness) * draw.randint_between(60, 100) / 100
+            shapes.append(_slab(spot, (0.44, 0.3, 0.06), tilt, yaw))
+        else:
+            shapes.append(block(spot, (length, width, height), yaw=yaw))
+    return shapes
+
+
+def _slab(at: Position2D, size: tuple[float, float, float], tilt: float, yaw: float) -> Shape:
+    """Return a slab that rests on one of its lower edges."""
+    lift = size[0] / 2 * math.sin(tilt) + size[2] / 2 * math.cos(tilt)
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return Shape(
+        kind="box", size=half, at=(*at, lift), rotation=(0.0, -tilt, yaw), surface="ground", rgba=CONCRETE
+    )
+
+
+def steps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
+    """Return a field of square posts of four heights, higher towards one side, one corner or the middle."""
+    pitch, unit = STRUCTURE_SIZE / STEP_FIELD_POSTS, lerp(0.03, 0.08, roughness)
+    sx, sy = draw.choice(((1, 0), (0, 1), (1, 1), (1, -1), (0, 0)))
+    shapes: list[Shape] = []
+    for i in range(STEP_FIELD_POSTS):
+        for j in range(STEP_FIELD_POSTS):
+            x, y = i - (STEP_FIELD_POSTS - 1) / 2, j - (STEP_FIELD_POSTS - 1) / 2
+            trend = 1.5 + (sx * x + sy * y) / 2 if sx or sy else 2.5 - max(abs(x), abs(y))
+            level = 1 + max(0, min(3, round(trend) + draw.randint(2)))
+            spot = (at[0] + x * pitch, at[1] + y * pitch)
+            shapes.append(block(spot, (pitch - 0.005, pitch - 0.005, level * unit), rgba=WOOD))
+    return shapes
+
+
+def ramps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
+    """Return a ramp of 15 degrees that ends in a drop, longer with the roughness."""
+    run = lerp(0.45, 1.0, roughness)
+    return [slope(at, run, STRUCTURE_SIZE, RAMP, draw.randint(4))]
+
+
+def collapsed(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
+    """Return a floor slab fallen down on one side, propped up by a block, and another block on the floor."""
+    uphill = draw.randint(4)
+    angle = lerp(math.radians(8), math.radians(30), roughness)
+    slab = slope(at, 0.8, 1.0, angle, uphill, CONCRETE)
+    # The block fits just below the slab's lower face.
+    ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
+    prop = max(0.02, 0.7 * math.tan(angle) - DECK / math.cos(angle))
+    spots = [(at[0] + d * ahead[0], at[1] + d * ahead[1]) for d in (0.35, -0.47)]
+    flat = [(0.1, 0.6, prop), (0.1, 0.4, lerp(0.05, 0.25, roughness) * draw.randint_between(50, 100) / 100)]
+    return [slab, *(block(s, size, yaw=uphill * math.pi / 2) for s, size in zip(spots, flat, strict=True))]
+
+
+def void(at: Position2D, facing: int, length: float, roof: float) -> list[Shape]:
+    """Return a slab over a victim, on two walls beside it.
+
+    Args:
+        at: Middle of the slab [m].
+        facing: Direction of its length, in quarter turns from x: the walls are at the end that lies behind.
+        length: Length of the slab [m].
+        roof: Height of its lower face [m].
+    """
+    ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[facing]
+    yaw = facing * math.pi / 2
+    shapes = [block(at, (length, STRUCTURE_SIZE, DECK), z=roof, yaw=yaw, rgba=CONCRETE)]
+    back = length / 2 - 0.4
+    for side in (-1, 1):
+        x = at[0] - back * ahead[0] - side * 0.52 * ahead[1]
+        y = at[1] - back * ahead[1] + side * 0.52 * ahead[0]
+        shapes.append(block((x, y), (0.8, 0.06, roof), yaw=yaw))
+    return shapes
+
+
+def second_floor(landing: Cell, step: int, columns: int) -> list[Shape]:
+    """Return a ramp up from beside a landing, a deck behind it, and a ramp down where there is room.
+
+    Args:
+        landing: Cell at the foot of the ramp.
+        step: 1 if it leads towards larger columns, -1 if towards smaller ones.
+        columns: Columns of the arena.
+    """
+    width = CELL - THICKNESS
+    uphill = 0 if step > 0 else 2
+    run = STOREY_CELLS * CELL
+    y = middle(landing)[1]
+    edge = middle(landing)[0] + step * CELL / 2
+    end = CELL * (columns if step > 0 else 0) - step * THICKNESS / 2
+    shapes = [slope((edge + step * run / 2, y), run, width, RAMP, uphill)]
+    if columns >= MIN_TWO_RAMP_COLUMNS:
+        end -= step * (run + CELL - THICKNESS / 2)
+        shapes.append(slope((end + step * run / 2, y), run, width, RAMP, (uphill + 2) % 4))
+    start = edge + step * run
+    at = ((start + end) / 2, y)
+    shapes.append(block(at, (abs(end - start), width, DECK), z=STOREY - DECK, rgba=WOOD))
+    return shapes
+
+
+MIN_TWO_RAMP_COLUMNS = 2 * (STOREY_CELLS + 1) + 1
+"""Columns of the smallest arena whose second floor has a ramp at both ends."""
 
 
 def bars(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
@@ -113,9 +276,17 @@ def obstacle_height(robot: RobotFootprint, roughness: float, highest: float = MA
 
 OBSTACLES: Registry[Obstacle] = Registry("kind of obstacle")
 """Kinds of obstacles by name."""
+
+
 OBSTACLES.add("bars", bars)
+
+
 OBSTACLES.add("slabs", slabs)
+
+
 OBSTACLES.add("posts", posts)
+
+
 OBSTACLES.add("ridge", ridge)
 
 

@@ -6,9 +6,13 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
-from usarmjx.models.ini.parse import IniFile, IniValue, Line, Section, Struct
-from usarmjx.models.ini.read import (
+from usarmjx.models.ini.parse import (
     UU_PER_RADIAN,
+    IniFile,
+    IniValue,
+    Line,
+    Section,
+    Struct,
     Units,
     as_class,
     as_name,
@@ -17,8 +21,7 @@ from usarmjx.models.ini.read import (
     fail,
     vector_of,
 )
-from usarmjx.models.types.robot import CHASSIS, Mount, Options, RobotSpec, options
-from usarmjx.models.types.settings import checked, field_name
+from usarmjx.models.types.robot import CHASSIS, Mount, Options, RobotSpec, checked, field_name, options
 
 ITEM_CLASSES = {
     "SonarSensor": "Sonar",

@@ -10,8 +10,11 @@ from dataclasses import dataclass, replace
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.ini.items import LINK_IGNORED, WarningLog
-from usarmjx.models.ini.parse import IniFile, IniValue, Line, Struct
-from usarmjx.models.ini.read import (
+from usarmjx.models.ini.parse import (
+    IniFile,
+    IniValue,
+    Line,
+    Struct,
     Units,
     as_bool,
     as_class,

@@ -13,8 +13,9 @@ from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import GRAVITY, Vec3, angles_from_mat
 from usarmjx.models.ini.items import JOINT_IGNORED, WarningLog
 from usarmjx.models.ini.parameters import DEFAULT_SUSPENSION_TRAVEL
-from usarmjx.models.ini.parse import Line, Struct
-from usarmjx.models.ini.read import (
+from usarmjx.models.ini.parse import (
+    Line,
+    Struct,
     Units,
     as_bool,
     as_class,

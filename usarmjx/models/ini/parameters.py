@@ -10,10 +10,10 @@ import numpy as np
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Tracks
 from usarmjx.models.ini.items import WarningLog
-from usarmjx.models.ini.parse import Line
-from usarmjx.models.ini.read import (
+from usarmjx.models.ini.parse import (
     UU_PER_METRE,
     UU_PER_RADIAN,
+    Line,
     Units,
     as_bool,
     as_number,
@@ -21,8 +21,15 @@ from usarmjx.models.ini.read import (
     as_whole,
     fail,
 )
-from usarmjx.models.types.robot import STEER_SUFFIX, SUSPENSION_SUFFIX, UP, Options, Part, RobotSpec
-from usarmjx.models.types.settings import field_name
+from usarmjx.models.types.robot import (
+    STEER_SUFFIX,
+    SUSPENSION_SUFFIX,
+    UP,
+    Options,
+    Part,
+    RobotSpec,
+    field_name,
+)
 from usarmjx.models.types.shapes import Shape, Tyre
 
 STEREO_KEYS = ("isStereo", "stereoSpacing", "uuStereoSpacing")

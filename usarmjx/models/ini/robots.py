@@ -29,8 +29,17 @@ from usarmjx.models.ini.items import (
 from usarmjx.models.ini.later import reason_of_section, translated
 from usarmjx.models.ini.packages import PREFIX, known_packages, read_packages, redefine
 from usarmjx.models.ini.parameters import LENGTHS, SETTERS, STEREO_KEYS, TRACKS, read_tracks
-from usarmjx.models.ini.parse import IniFile, Line, Section, read_ini
-from usarmjx.models.ini.read import UU_PER_METRE, Units, as_bool, as_class, fail
+from usarmjx.models.ini.parse import (
+    UU_PER_METRE,
+    IniFile,
+    Line,
+    Section,
+    Units,
+    as_bool,
+    as_class,
+    fail,
+    read_ini,
+)
 from usarmjx.models.ini.spec import BuildContext, RobotSection, build_robot
 from usarmjx.models.types.robot import Options, RobotSpec
 

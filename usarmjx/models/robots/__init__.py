@@ -8,8 +8,7 @@ report to the manual: change one only with a source.
 
 import sys
 
-from usarmjx.base.registry import Registry
-from usarmjx.models.discovery import values_in
+from usarmjx.base.registry import Registry, values_in
 from usarmjx.models.robots.kit import (
     POSE_SENSORS,
     ball,

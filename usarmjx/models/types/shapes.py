@@ -1,4 +1,4 @@
-"""Solids of robots, arenas and effecters: their geometry, contact surface and material.
+"""Solids of robots, arenas and effecters: their geometry, contact surface, material and texture.
 
 A shape lies in the axes of the description that holds it: USARSim's for robots and effecters (see
 `types.robot`); x forward, y left, z up for arenas. Lengths are metres, angles radians, masses kilograms.
@@ -6,7 +6,7 @@ A shape lies in the axes of the description that holds it: USARSim's for robots 
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,12 +17,18 @@ Position2D: TypeAlias = tuple[float, float]
 """x and y on the ground [m]."""
 Rgba: TypeAlias = Annotated[tuple[float, float, float, float], SHARE]
 """Red, green, blue and opacity, each from 0 to 1."""
-
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 ACROSS: Vec3 = (-math.pi / 2, 0.0, 0.0)
 """Rotation of a cylinder's axis (z) to the side (y)."""
 ALONG: Vec3 = (0.0, math.pi / 2, 0.0)
 """Rotation of a cylinder's axis (z) ahead (x)."""
+TEXTURES = ("brick", "tiles", "wood", "concrete", "chart", "hazmat", "tag", "qr")
+"""All textures: patterns of walls and floors, and signs."""
+SIGNS = {"chart": 999, "hazmat": 5, "tag": 9, "qr": 9}
+"""Textures that are signs in the middle of each face of a box, with their largest numbers (`tag:7`)."""
+CODE_STRIDE = 16
+"""Number of texture codes per sign number: a code is one plus the index of the texture, plus this times its
+number."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +82,6 @@ SURFACES = {
     "fixture": Surface(friction=0.3, priority=0, contype=0, conaffinity=0),  # seen, but never touched
 }
 """Contact parameters by the names that `Shape.surface` takes."""
-
-
 MAX_SLIP_FACTOR, MAX_SOFTNESS, MIN_RESTITUTION, MAX_RESTITUTION = 10.0, 9.0, 1e-3, 0.95
 """Limits of a tyre's contact: factor on or divisor of the slip, softness (settling time times one more than
 that), and the smallest and largest restitution. The solver is stable within them."""
@@ -234,3 +238,31 @@ class BodyInertia:
     mass: float
     at: Vec3
     moments: tuple[float, float, float, float, float, float]
+
+
+def texture_problem(texture: str) -> str:
+    """Return the error of a texture's name, "" if it is valid; "" itself is no texture."""
+    name, colon, number = texture.partition(":")
+    if not texture or (name in TEXTURES and not colon):
+        return ""
+    if name in SIGNS and number.isdecimal() and int(number) <= SIGNS[name]:
+        return ""
+    signs = ", ".join(f"{name}:0 to {name}:{last}" for name, last in SIGNS.items())
+    plain = ", ".join(name for name in TEXTURES if name not in SIGNS)
+    return f"no texture {texture!r}; known: {plain}, {signs}"
+
+
+def texture_code(texture: str) -> int:
+    """Return the code of a texture; 0 is no texture."""
+    name, _, number = texture.partition(":")
+    return TEXTURES.index(name) + 1 + CODE_STRIDE * int(number or 0) if name else 0
+
+
+def decode_texture(code: Any) -> tuple[Any, Any]:  # noqa: ANN401 - a whole number, or an array of them
+    """Return the texture, counted from 1, and the sign number of codes."""
+    return code % CODE_STRIDE, code // CODE_STRIDE
+
+
+def texture_names(codes: Any) -> frozenset[str]:  # noqa: ANN401 - whole numbers
+    """Return the names of the textures of some codes."""
+    return frozenset(TEXTURES[int(code) % CODE_STRIDE - 1] for code in codes if code)

@@ -57,7 +57,7 @@ class GeomAppearance(struct.PyTreeNode, kw_only=True):
         reflectance: Share of the reflection in their colour (n,).
         label: Segmentation labels (n,).
         instance: Instances, see `instances` (n,); None: not distinguished.
-        texture: Texture codes, see `models.types.textures` (n,); None: no textures.
+        texture: Texture codes, see `models.types.shapes` (n,); None: no textures.
         textures: Names of all textures that occur; static.
     """
 

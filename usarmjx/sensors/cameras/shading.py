@@ -18,8 +18,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.arena import Light
-from usarmjx.models.types.shapes import GLASS, MIRROR
-from usarmjx.models.types.textures import SIGNS
+from usarmjx.models.types.shapes import GLASS, MIRROR, SIGNS
 from usarmjx.sensors.cameras.casters import PANE_QUERY, SOLID_QUERY, Beams, Caster, GeomCaster, RayHits
 from usarmjx.sensors.cameras.paint import ARENA_LABEL, SKY_LABEL, GeomAppearance
 from usarmjx.sensors.cameras.textures import apply_textures, on_face

@@ -10,7 +10,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
-from usarmjx.models.types.textures import SIGNS, TEXTURES, decode_texture
+from usarmjx.models.types.shapes import SIGNS, TEXTURES, decode_texture
 
 QR_SIDE = 21
 """Cells along a side of a QR code."""
@@ -207,7 +207,7 @@ def apply_textures(
 
     Args:
         names: Textures that occur.
-        code: Texture code of each surface, see `models.types.textures` (rays,).
+        code: Texture code of each surface, see `models.types.shapes` (rays,).
         rgb: Their own colours (3, rays).
         place: Positions along and up the surfaces [m], both (rays,).
         sign: Positions on the largest centred square of their face, from -1 to 1, both (rays,).

@@ -15,8 +15,15 @@ import numpy as np
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.ini.parameters import SETTERS
-from usarmjx.models.types.robot import Mount, RobotSpec
-from usarmjx.models.types.settings import checked, field_name, field_names, manual_keys, resolve_settings
+from usarmjx.models.types.robot import (
+    Mount,
+    RobotSpec,
+    checked,
+    field_name,
+    field_names,
+    manual_keys,
+    resolve_settings,
+)
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.settings import CameraSettings, resolve_camera
 from usarmjx.server.worlds.robot import Robot

@@ -12,8 +12,7 @@ from usarmjx.models.compile.kinematic_tree import KinematicTree
 from usarmjx.models.compile.parts import joint_names, part_name
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.roads.network import LatLon
-from usarmjx.models.types.robot import Link, MissionPackage, Mount, RobotSpec
-from usarmjx.models.types.settings import camel_case, field_names
+from usarmjx.models.types.robot import Link, MissionPackage, Mount, RobotSpec, camel_case, field_names
 from usarmjx.sensors.base import NoisySensorSettings, Quantity, Sensor
 from usarmjx.sensors.cameras.mounts import Camera, cameras_of
 from usarmjx.sensors.gps import MIN_FIX_SATELLITES, geographic_coordinates

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, validate
-from usarmjx.models.ini.parse import read_ini
-from usarmjx.models.ini.read import as_whole, fail
+from usarmjx.models.ini.parse import as_whole, fail, read_ini
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.ports import BOT_PORT, PORT
 from usarmjx.server.protocol.dialects import MANUAL, Dialect

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from usarmjx.base.errors import PeerError, SpecError
-from usarmjx.models.ini.parse import read_ini
-from usarmjx.models.ini.read import as_bool, as_whole, fail
+from usarmjx.models.ini.parse import as_bool, as_whole, fail, read_ini
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 
 SECTION = "USARBot.MultiView"

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.models.compile.floor_map import floor_map
+from usarmjx.models.compile.raster import floor_map
 from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.recording.shots import CameraShot, recorded_arena

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usarmjx.models.compile.floor_map import floor_map
-from usarmjx.models.compile.raster import Grid
+from usarmjx.models.compile.raster import Grid, floor_map
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.server.rosbridge import motion
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion

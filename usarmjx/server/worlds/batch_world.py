@@ -20,8 +20,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.engines import PhysicsState
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.stance_table import stances_in
-from usarmjx.models.compile.standing import stance_of
+from usarmjx.models.compile.standing import stance_of, stances_in
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.types.robot import RobotSpec

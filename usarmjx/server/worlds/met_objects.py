@@ -9,8 +9,7 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.engines import PhysicsState
 from usarmjx.engines.c.world import CWorld
-from usarmjx.models.compile.compose import DOOR_PREFIX, LOOSE_PREFIX, VICTIM_PREFIX
-from usarmjx.models.compile.layout import RobotIndex
+from usarmjx.models.compile.compose import DOOR_PREFIX, LOOSE_PREFIX, VICTIM_PREFIX, RobotIndex
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sensors.suite import query_of
 from usarmjx.sim.ray_geometry import moved_geom_poses, victims_of

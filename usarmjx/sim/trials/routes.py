@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from usarmjx.models.check.arena import VICTIM_REACH
-from usarmjx.models.check.probe import in_water
+from usarmjx.models.check.arena import VICTIM_REACH, in_water
 from usarmjx.models.compile.reachability import (
     DEFAULT_CELL_SIZE,
     ReachMap,
