@@ -13,8 +13,7 @@ import pytest
 
 from tests.train.handmade import policy_file
 from usarmjx.base.checked_cache import read_sealed, seal
-from usarmjx.base.kept_json import kept_text
-from usarmjx.base.settings.json_file import read_json_lines
+from usarmjx.base.settings.json_file import kept_text, read_json_lines
 from usarmjx.cli import completion
 from usarmjx.engines.planar import responses
 from usarmjx.models.robots import ROBOTS

@@ -13,7 +13,7 @@ from benchmarks.chaos.attacks import QUIET, Attack
 from benchmarks.chaos.neighbour import Gaps, Watch
 from benchmarks.chaos.target import ThreadClock
 from usarmjx.base.errors import UsageError
-from usarmjx.base.markdown import table_lines
+from usarmjx.base.tables import table_lines
 
 CONNECT_LIMIT = 0.5
 """How long a connection may take [s]: a server that is held up does not keep the attackers waiting."""

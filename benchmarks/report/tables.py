@@ -6,7 +6,7 @@ from typing import Any
 
 from benchmarks.report.records import BenchRecord
 from benchmarks.serving.clients import rows as figure_rows
-from usarmjx.base.markdown import markdown_table
+from usarmjx.base.tables import markdown_table
 from usarmjx.plots.training_plots import fields_of_record
 from usarmjx.train.task_names import recorded_name
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from usarmjx.base.bootstrap import (
+from usarmjx.base.estimates import (
     Resampler,
     improvement_interval,
     interquartile_interval,

@@ -8,16 +8,15 @@ import time
 
 import pytest
 
-from usarmjx.base import compile_notice
-from usarmjx.base.compilation import COMPILE_EVENT_PREFIX
-from usarmjx.base.compile_notice import AFTER, IDLE, POLL, QUIET, CompileNotice, silence
+from usarmjx.base import compilation
+from usarmjx.base.compilation import AFTER, COMPILE_EVENT_PREFIX, IDLE, POLL, QUIET, CompileNotice, silence
 
 PATIENCE = 30.0  # s
 EVENT = f"{COMPILE_EVENT_PREFIX}jaxpr_trace_duration"
 SCRIPT = """
 import usarmjx
 from usarmjx.base import compile_notice
-compile_notice.AFTER = 0.0  # however fast the machine is
+compilation.AFTER = 0.0  # however fast the machine is
 batch = usarmjx.Batch("yellow", worlds=2, engine="c")
 state = batch.reset()
 print("done")
@@ -36,7 +35,7 @@ def busy():
 
 @pytest.fixture
 def notice(lines, busy, monkeypatch):
-    monkeypatch.setattr(compile_notice, "IDLE", 0.3)
+    monkeypatch.setattr(compilation, "IDLE", 0.3)
     return CompileNotice(lines.append, busy.__contains__)
 
 
@@ -83,10 +82,10 @@ def test_a_line_comes_within_a_second():
 
 
 def test_silence_reaches_children(monkeypatch):
-    monkeypatch.setattr(compile_notice.NOTICE, "shown", False)
+    monkeypatch.setattr(compilation.NOTICE, "shown", False)
     environment = {}
     silence(environment)
-    assert (environment, compile_notice.NOTICE.shown) == ({QUIET: "1"}, True)
+    assert (environment, compilation.NOTICE.shown) == ({QUIET: "1"}, True)
 
 
 @pytest.mark.parametrize(("asked", "count"), [("0", 1), ("1", 0)])

@@ -13,18 +13,19 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
-from usarmjx.base.crossed import (
+from usarmjx.base.estimates import (
     adjusted,
     crossed_interval,
     crossed_mean,
     crossed_variance,
     even,
     holm,
+    interquartile_effects,
+    interquartile_mean,
     p_value,
     quantile_of_t,
     wilson_interval,
 )
-from usarmjx.base.estimates import interquartile_effects, interquartile_mean
 from usarmjx.sweeps.design import main_effects
 
 SWEEPS, MANY_SWEEPS = 2000, 10000

@@ -6,9 +6,15 @@ import math
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.base.kept_json import NotWholeError, kept_text, read_kept
 from usarmjx.base.settings import json_file
-from usarmjx.base.settings.json_file import parse_json, read_json, read_json_lines
+from usarmjx.base.settings.json_file import (
+    NotWholeError,
+    kept_text,
+    parse_json,
+    read_json,
+    read_json_lines,
+    read_kept,
+)
 
 CONTENT = {"key": "1f", "rows": [1, 2.5e-3, None, True], "by": {"a": "é"}}
 

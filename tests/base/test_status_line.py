@@ -2,7 +2,7 @@
 
 import io
 
-from usarmjx.base.status_line import StatusLine, clear_status, is_status_shown
+from usarmjx.base.progress import StatusLine, clear_status, is_status_shown
 
 
 class Stream(io.StringIO):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.base.warp_callbacks import without_collection
+from usarmjx.base.warp_functions import without_collection
 
 wp = pytest.importorskip("warp")
 
@@ -100,17 +100,17 @@ def test_callbacks_in_two_threads_end_in_either_order():
 
 def test_kernels_of_the_product_are_called_back_without_it(monkeypatch):
     """The launch of a real kernel, seen from Warp's own callback."""
-    from usarmjx.base import warp_callbacks
-    from usarmjx.base.warp_callbacks import pause_collection_in_callbacks
+    from usarmjx.base import warp_functions
+    from usarmjx.base.warp_functions import pause_collection_in_callbacks
 
     pause_collection_in_callbacks()
-    states, entered = [], warp_callbacks._Pause.__enter__
+    states, entered = [], warp_functions._Pause.__enter__
 
     def watched(pause):
         entered(pause)
         states.append(gc.isenabled())
 
-    monkeypatch.setattr(warp_callbacks._Pause, "__enter__", watched)
+    monkeypatch.setattr(warp_functions._Pause, "__enter__", watched)
 
     @wp.kernel
     def twice(x: wp.array(dtype=float), y: wp.array(dtype=float)):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import dev
 import usarmjx
 from tests.engines.eager import AT_ONCE, BLIND, EAGER
-from usarmjx.base.kept_json import kept_text
+from usarmjx.base.settings.json_file import kept_text
 from usarmjx.cli.app import app
 from usarmjx.engines.planar import responses
 from usarmjx.engines.planar.responses import (

@@ -190,7 +190,7 @@ def test_a_training_that_iterates_ends_with_its_checkpoint(number):
 COMMAND = """
 import hashlib, sys, time
 import usarmjx.cli.play, usarmjx.sweeps.run
-from usarmjx.base.status_line import StatusLine
+from usarmjx.base.progress import StatusLine
 from usarmjx.cli.app import app
 
 class Terminal:

@@ -8,8 +8,8 @@ import yaml
 from typer.testing import CliRunner
 
 from tests.sweeps.conftest import SMALL
-from usarmjx.base.bootstrap import Resampler
 from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import Resampler
 from usarmjx.cli.app import app
 from usarmjx.sweeps.leaderboard import leaderboard_page, replay
 from usarmjx.sweeps.profiles import plot_profiles

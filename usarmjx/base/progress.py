@@ -1,10 +1,14 @@
-"""Rate-limited progress lines for files and pipes, which show no progress bar."""
+"""Progress: a line that is written over itself on a terminal; rate-limited lines for files and pipes."""
 
+import threading
 import time
 from collections.abc import Callable
+from typing import TextIO
 
 PERIOD = 30.0
 """Time between two lines [s]."""
+CLEAR = "\r\033[K"
+"""Moves the cursor to the begin of its line, and clears that."""
 
 
 class RateLimitedLog:
@@ -31,3 +35,46 @@ class RateLimitedLog:
         if now >= self._next:
             self._next = now + self._period
             self._tell(text)
+
+
+class StatusLine:
+    """A line on a terminal; on other streams each text is a line of its own.
+
+    Args:
+        stream: Where it is written.
+    """
+
+    _shown: "StatusLine | None" = None
+    _lock = threading.RLock()
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.terminal = stream.isatty()
+
+    def show(self, text: str) -> None:
+        """Write a text in place of the last one."""
+        with self._lock:
+            self._stream.write(f"{CLEAR}{text}" if self.terminal else f"{text}\n")
+            self._stream.flush()
+            if self.terminal:
+                StatusLine._shown = self
+
+    def clear(self) -> None:
+        """Clear the line if it is shown."""
+        with self._lock:
+            if StatusLine._shown is self:
+                StatusLine._shown = None
+                self._stream.write(CLEAR)
+                self._stream.flush()
+
+
+def clear_status() -> None:
+    """Clear the line that is shown, if any: other output follows."""
+    shown = StatusLine._shown  # pyright: ignore[reportPrivateUsage]
+    if shown is not None:
+        shown.clear()
+
+
+def is_status_shown() -> bool:
+    """Return whether a line is shown on a terminal; takes no lock, so a signal's handler may ask."""
+    return StatusLine._shown is not None  # pyright: ignore[reportPrivateUsage]

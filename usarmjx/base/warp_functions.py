@@ -3,8 +3,13 @@
 Warp numbers the launches of a traced program in the order of tracing, so that a stored program is meaningless
 in another process. Here a launch's id is a digest of its content: with the list of its launches, a stored
 program runs in a process that has traced nothing (`program_cache`).
+
+XLA calls back while it captures a CUDA graph. The collector may run there and free compiled programs of
+batches that are no longer used; unloading these is illegal during a capture, and the program that is being
+captured fails with CUDA error 901.
 """
 
+import gc
 import hashlib
 from collections.abc import Callable, Iterable
 from functools import cache, wraps
@@ -13,10 +18,55 @@ from threading import Lock
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from usarmjx.base.warp_callbacks import pause_collection_in_callbacks
-
 _LOCK = Lock()
 """Guards the launch table and Warp's own counter."""
+
+
+class _Pause:
+    """Pause of the collector for as long as any callback runs, in whatever thread."""
+
+    def __init__(self) -> None:
+        self._lock, self._running, self._was_enabled = Lock(), 0, False
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._running:
+                self._was_enabled = gc.isenabled()
+                gc.disable()
+            self._running += 1
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._running -= 1
+            if not self._running and self._was_enabled:
+                gc.enable()
+
+
+_PAUSE = _Pause()
+
+
+def without_collection(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a callback during which no garbage is collected."""
+
+    @wraps(callback)
+    def paused(*args: Any) -> Any:  # noqa: ANN401 - those of XLA
+        with _PAUSE:
+            return callback(*args)
+
+    return paused
+
+
+@cache
+def pause_collection_in_callbacks() -> None:
+    """Let all kernels that are made from now on call back without the collector."""
+    # Warp has no public place for it; its version is pinned.
+    ffi: Any = import_module("warp._src.jax.ffi")
+    register: Callable[..., Any] = ffi._register_ffi_targets
+
+    def register_paused(name: str, callback: Callable[..., Any]) -> Any:  # noqa: ANN401 - Warp's own
+        return register(name, without_collection(callback))
+
+    ffi._register_ffi_targets = register_paused
 
 
 class Launch(NamedTuple):

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from usarmjx.base.markdown import markdown_table
+from usarmjx.base.tables import markdown_table
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANES
 from usarmjx.models.types.arena import ArenaSpec

@@ -11,8 +11,8 @@ import typer
 
 from usarmjx.base.errors import MAX_QUOTATION, UsageError, UsarmjxError, one_line
 from usarmjx.base.files import disk_error
+from usarmjx.base.progress import clear_status
 from usarmjx.base.settings import RenamedSettingWarning
-from usarmjx.base.status_line import clear_status
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
 from usarmjx.cli.known_names import check_name, check_roster, full_name
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.markdown import markdown_table
+from usarmjx.base.tables import markdown_table
 from usarmjx.base.type_guards import is_list
 from usarmjx.cli.common import (
     ErrorExit,

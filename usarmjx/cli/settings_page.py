@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from usarmjx.base.markdown import markdown_table
 from usarmjx.base.settings import rows_of
+from usarmjx.base.tables import markdown_table
 
 HEAD = """# All settings
 

@@ -15,12 +15,13 @@ from usarmjx.base.compilation import (
     JAX_FOLDER,
     disable_optimization,
     enable_compilation_cache,
+    is_compiling,
+    silence,
     warn_once_of_broken_entries,
 )
-from usarmjx.base.compile_notice import is_compiling, silence
 from usarmjx.base.errors import one_line
 from usarmjx.base.process import fit_pool_to_cores
-from usarmjx.base.status_line import clear_status
+from usarmjx.base.progress import clear_status
 
 FIRST, INTERVAL = 3.0, 10.0
 """Time after which a compilation is reported, and interval of further reports [s]."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.table import Table
 
-from usarmjx.base.markdown import markdown_table
+from usarmjx.base.tables import markdown_table
 
 
 @dataclass(frozen=True, kw_only=True)

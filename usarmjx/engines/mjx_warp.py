@@ -19,7 +19,7 @@ from jax.custom_batching import custom_vmap
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
-from usarmjx.base.warp_callbacks import pause_collection_in_callbacks
+from usarmjx.base.warp_functions import pause_collection_in_callbacks
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.block.coverage import why_not
 from usarmjx.engines.cylinder_box import check_mjx_version

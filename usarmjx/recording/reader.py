@@ -16,8 +16,8 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.facts import facts_line, facts_table
 from usarmjx.base.settings.json_file import parse_json
+from usarmjx.base.tables import facts_line, facts_table
 from usarmjx.recording.file import CHANNEL_METADATA, CHANNELS, NANO, ChannelName
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack

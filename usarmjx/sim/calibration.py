@@ -19,9 +19,8 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write
-from usarmjx.base.kept_json import kept_text
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.base.settings.json_file import as_mapping, read_json
+from usarmjx.base.settings.json_file import as_mapping, kept_text, read_json
 from usarmjx.engines.planar.drives import SideWheels, limited_lag, wheel_kinematics
 from usarmjx.engines.planar.responses import (
     NUMERIC_FIELDS,

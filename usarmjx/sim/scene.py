@@ -11,7 +11,7 @@ import numpy as np
 
 from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.base.facts import facts_table
+from usarmjx.base.tables import facts_table
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids

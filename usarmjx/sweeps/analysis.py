@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.base.crossed import holm
 from usarmjx.base.errors import UsageError
-from usarmjx.base.estimates import Estimate, estimate_groups, pareto_front
+from usarmjx.base.estimates import Estimate, estimate_groups, holm, pareto_front
 from usarmjx.sweeps.design import (
     DRIVERS,
     Episodes,

@@ -13,10 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.base.crossed import Factor, adjusted, crossed_mean, even
 from usarmjx.base.estimates import (
     Estimate,
+    Factor,
+    adjusted,
     crossed_estimate,
+    crossed_mean,
+    even,
     interquartile_effects,
     probability_of_improvement,
 )

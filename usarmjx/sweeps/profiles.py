@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from usarmjx.base.bootstrap import Resampler, profile_intervals
 from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import Resampler, profile_intervals
 from usarmjx.plots.style import COLUMN, PALETTE, figure_style, panels_of, save_figure
 from usarmjx.sweeps.standings import Standings
 

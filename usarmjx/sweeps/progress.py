@@ -3,7 +3,7 @@
 import time
 from typing import TextIO
 
-from usarmjx.base.status_line import StatusLine
+from usarmjx.base.progress import StatusLine
 
 INTERVAL = 10.0
 """Interval of progress lines without a terminal [s]."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.installation import install_command
-from usarmjx.base.status_line import clear_status
+from usarmjx.base.progress import clear_status
 from usarmjx.sweeps.guard import children, end_with_this_process
 from usarmjx.sweeps.local_workers import TRIES, PieceOutcome, PieceWork
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
-from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.settings import default_reader
+from usarmjx.base.settings.json_file import kept_text, read_kept
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.contents import key_name, policy_digest
 from usarmjx.sweeps.drivers import find_driver, policy_of_run, rename_run, script_of

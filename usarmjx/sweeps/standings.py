@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.base.bootstrap import (
+from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import (
+    Estimate,
     Resampler,
     Table,
     improvement_interval,
@@ -15,8 +17,6 @@ from usarmjx.base.bootstrap import (
     mean_interval,
     profile_intervals,
 )
-from usarmjx.base.errors import UsageError
-from usarmjx.base.estimates import Estimate
 from usarmjx.sweeps.design import DRIVERS
 from usarmjx.sweeps.report import aligned, as_words
 from usarmjx.sweeps.results import RunResult

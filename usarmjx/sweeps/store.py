@@ -15,8 +15,8 @@ from typing import Any
 
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write, writing
-from usarmjx.base.kept_json import NotWholeError, kept_text, read_kept
 from usarmjx.base.settings import default_reader
+from usarmjx.base.settings.json_file import NotWholeError, kept_text, read_kept
 from usarmjx.sweeps.spec import rename_keys, rename_policy, rename_tasks
 from usarmjx.train.task_names import recorded_name
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from usarmjx.base.compile_notice import NOTICE
+from usarmjx.base.compilation import NOTICE
 from usarmjx.base.errors import UnknownNameError, UsageError, quoted
 from usarmjx.base.settings import default_reader, validate
 from usarmjx.base.settings.files import shown

@@ -9,7 +9,7 @@ import pytest
 
 from tests.train.handmade import policy_file
 from usarmjx.base.errors import UsageError
-from usarmjx.base.kept_json import kept_text
+from usarmjx.base.settings.json_file import kept_text
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part, write_part
 from usarmjx.train.learning.config import Config

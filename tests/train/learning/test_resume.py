@@ -16,7 +16,7 @@ from numpy.testing import assert_array_equal
 from tests.train.runs import CONFIG, PATIENCE, PROGRAM, checksums, lines, run, started
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
-from usarmjx.base.kept_json import kept_text
+from usarmjx.base.settings.json_file import kept_text
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part, read_policy, write_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Literal, cast, get_args, get_origin
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.markdown import markdown_table
 from usarmjx.base.settings.declaration import (
     MAPPINGS,
     SEQUENCES,
@@ -23,6 +22,7 @@ from usarmjx.base.settings.declaration import (
     members_of,
     note_of,
 )
+from usarmjx.base.tables import markdown_table
 
 WIDEST = 32
 """Characters of a column of a table for a terminal, but for the last one."""

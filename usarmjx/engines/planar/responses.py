@@ -16,9 +16,8 @@ import mujoco
 
 from usarmjx.base.compilation import own_cache_folder
 from usarmjx.base.errors import SpecError, UnsupportedFeatureError
-from usarmjx.base.kept_json import NotWholeError, read_kept
-from usarmjx.base.markdown import markdown_table
-from usarmjx.base.settings.json_file import as_mapping
+from usarmjx.base.settings.json_file import NotWholeError, as_mapping, read_kept
+from usarmjx.base.tables import markdown_table
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.drives.ackermann import Ackermann

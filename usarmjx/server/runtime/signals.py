@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from types import FrameType
 
-from usarmjx.base.status_line import CLEAR, is_status_shown
+from usarmjx.base.progress import CLEAR, is_status_shown
 from usarmjx.server.runtime.parent_pipe import end_with_parent
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -12,12 +12,11 @@ import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
-from usarmjx.base.compilation import enable_cache_after_import
-from usarmjx.base.compile_notice import NOTICE
+from usarmjx.base.compilation import NOTICE, enable_cache_after_import
 from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
-from usarmjx.base.facts import facts_line, facts_table
 from usarmjx.base.program_cache import ProgramCache, compile_program, open_program_cache
+from usarmjx.base.tables import facts_line, facts_table
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.sensors.base import Reading

@@ -16,7 +16,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Estimate, estimate_groups
-from usarmjx.base.markdown import markdown_table
+from usarmjx.base.tables import markdown_table
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy
 from usarmjx.train.evaluation.yardsticks import TeamResult, find_team, play_team

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from usarmjx.base.errors import SpecError, UnsupportedFeatureError, UsageError
-from usarmjx.base.markdown import table_lines
+from usarmjx.base.tables import table_lines
 from usarmjx.engines.planar.responses import rolls
 from usarmjx.models.generate import generate
 from usarmjx.models.types.arena import ArenaSpec, Water

@@ -22,7 +22,7 @@ from usarmjx.base import random
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import CONFIDENCE
 from usarmjx.base.files import atomic_write
-from usarmjx.base.markdown import markdown_table
+from usarmjx.base.tables import markdown_table
 from usarmjx.engines import choose_engine
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env

@@ -22,7 +22,7 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import Estimate, estimate_groups
-from usarmjx.base.markdown import markdown_table
+from usarmjx.base.tables import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.baselines.goals import reporting_policy, silent_policy

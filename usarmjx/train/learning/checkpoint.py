@@ -22,8 +22,8 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError, UsageError, WriteError
 from usarmjx.base.files import PARTIAL_MARK, writing
-from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.npz_file import NpzLimits, read_npz
+from usarmjx.base.settings.json_file import kept_text, read_kept
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.processes import ProcessGroup, Tree
 from usarmjx.train.learning.run_record import RunRecord, load_record

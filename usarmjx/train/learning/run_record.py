@@ -9,8 +9,8 @@ from typing import Any, cast
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
-from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.settings import default_reader
+from usarmjx.base.settings.json_file import kept_text, read_kept
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.learning.config import Config, differences, from_record
 from usarmjx.train.task_names import recorded_name
