@@ -21,8 +21,7 @@ from usarmjx.cli.common import (
     named_roster,
     read_size,
 )
-from usarmjx.cli.completion import complete_tasks
-from usarmjx.cli.known_names import check_name, check_roster
+from usarmjx.cli.known_names import check_name, check_roster, complete_tasks
 
 BASELINES = ("all", "cpu", "none")
 """Words for what is measured beside a case: both baselines, not bare MJX (which compiles), neither."""

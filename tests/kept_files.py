@@ -14,7 +14,7 @@ import pytest
 from tests.train.handmade import policy_file
 from usarmjx.base.checked_cache import read_sealed, seal
 from usarmjx.base.settings.json_file import kept_text, read_json_lines
-from usarmjx.cli import completion
+from usarmjx.cli import known_names
 from usarmjx.engines.planar import responses
 from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.file import ChannelName, RecordingFile
@@ -82,11 +82,11 @@ def _names(path):
     """Names for shells; without an entry that is whole they are asked for again, here in vain."""
     folder = path.parent / "usarmjx"
     folder.mkdir(exist_ok=True)
-    (folder / f"names-{completion._fingerprint()}.json").write_bytes(path.read_bytes())
+    (folder / f"names-{known_names._fingerprint()}.json").write_bytes(path.read_bytes())
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(path.parent))
-        patch.setattr(completion, "_asked", lambda: {"arenas": []})
-        return completion.names_of("arenas") or None
+        patch.setattr(known_names, "_asked", lambda: {"arenas": []})
+        return known_names.names_of("arenas") or None
 
 
 def _run(path):
@@ -174,7 +174,7 @@ def kept_files():
         "recording.mcap": (recording, _recording),
         "kept.result.json": (result, read_result),
         "seeds.json": (seeds, _seeds),
-        "names.json": (f"{completion._checksum(names)}\n{names}".encode(), _names),
+        "names.json": (f"{known_names._checksum(names)}\n{names}".encode(), _names),
     }
 
 

@@ -12,7 +12,7 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.common import ErrorExit, SeedOption, named, unwinds_on_signals
-from usarmjx.cli.completion import complete_arenas
+from usarmjx.cli.known_names import complete_arenas
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.server.network.ports import LAST_PORT
 from usarmjx.server.runtime.signals import FILES_TIME

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from tests.test_docs import command_problem
 from usarmjx.base.errors import UsageError
-from usarmjx.cli import checkout
+from usarmjx.cli import lazy_commands
 from usarmjx.cli.app import COMMANDS, EXAMPLES, GROUPS, app
 from usarmjx.engines import ENGINES
 from usarmjx.models.arenas import ARENAS
@@ -77,7 +77,7 @@ def test_the_example_of_a_command_is_one_that_it_understands(name):
 
 def test_a_wheel_alone_says_where_the_benchmarks_are(monkeypatch, tmp_path):
     """In one line, whatever was asked for; and a folder of that name where Python runs is not them."""
-    monkeypatch.setattr(checkout, "ROOT", tmp_path)
+    monkeypatch.setattr(lazy_commands, "ROOT", tmp_path)
     for words in (["bench"], ["bench", "step", "--worlds", "2"], ["chaos", "--self"]):
         result = invoke(*words)
         assert result.exit_code == 2
@@ -88,7 +88,7 @@ def test_a_wheel_alone_says_where_the_benchmarks_are(monkeypatch, tmp_path):
 
 def test_a_sweep_without_a_checkout_keeps_no_record(monkeypatch, tmp_path):
     """It says so before it plays anything."""
-    monkeypatch.setattr(checkout, "ROOT", tmp_path)
+    monkeypatch.setattr(lazy_commands, "ROOT", tmp_path)
     monkeypatch.chdir(tmp_path)
     result = invoke("sweep", "run", "thousand", "--json", "x.jsonl")
     assert (result.exit_code, "benchmarks are a folder" in result.stderr) == (2, True)

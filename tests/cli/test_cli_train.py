@@ -18,10 +18,9 @@ from typer.testing import CliRunner
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.app import app
 from usarmjx.cli.common import ErrorExit
-from usarmjx.cli.seeds import check_curriculum
 from usarmjx.cli.startup_messages import say
 from usarmjx.cli.train import _served
-from usarmjx.cli.train_plan import TrainOptions, recorded_engine
+from usarmjx.cli.train_plan import TrainOptions, check_curriculum, recorded_engine
 from usarmjx.train.learning.config import Config, task_config, training_engine
 from usarmjx.train.learning.run_record import EnvArguments, RunRecord, save_seeds, seed_folder
 from usarmjx.train.learning.trainer import TrainResult

@@ -79,8 +79,8 @@ def test_what_did_not_come_out_well_is_1(monkeypatch, tmp_path):
 
 INTERRUPTIBLE = {
     "list tasks": "usarmjx.cli.tables.LISTINGS",
-    "eval explore-v1": "usarmjx.cli.policy_options.PolicyOptions.source",
-    "play explore-v1 --engine c": "usarmjx.cli.policy_options.PolicyOptions.source",
+    "eval explore-v1": "usarmjx.cli.task_options.PolicyOptions.source",
+    "play explore-v1 --engine c": "usarmjx.cli.task_options.PolicyOptions.source",
     "train explore-v1 --out x": "usarmjx.cli.train._train",
     "doctor": "usarmjx.cli.doctor.run_checks",
     "portraits --out x.png": "usarmjx.plots.gallery.portraits",

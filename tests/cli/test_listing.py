@@ -10,7 +10,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import dev
-from usarmjx.cli import completion
+from usarmjx.cli import known_names
 from usarmjx.cli.app import app
 from usarmjx.cli.tables import LISTINGS, Listing
 from usarmjx.engines import ENGINES
@@ -109,23 +109,23 @@ def test_what_cannot_be_listed_is_one_line():
 def test_names_that_are_completed_are_those_of_the_registries(tmp_path, monkeypatch):
     """Kept in a file, of which a change of the package's folders makes another one."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert completion.complete_robots("Zer") == ["Zerg"]
+    assert known_names.complete_robots("Zer") == ["Zerg"]
     (file,) = (tmp_path / "usarmjx").glob("names-*.json")
     whole = file.read_text()
-    assert json.loads(whole.splitlines()[1]) == completion.registered_names()
+    assert json.loads(whole.splitlines()[1]) == known_names.registered_names()
     names = sorted([*TASKS.names(), "victim-search"])
-    assert completion.complete_tasks("victim") == [one for one in names if one.startswith("victim")]
-    assert {"explore", "explore-v1", "explore-v3"} <= {*completion.complete_policies("expl")}
-    assert "victim-search" not in completion.complete_policies("victim"), "its newest version has none"
+    assert known_names.complete_tasks("victim") == [one for one in names if one.startswith("victim")]
+    assert {"explore", "explore-v1", "explore-v3"} <= {*known_names.complete_policies("expl")}
+    assert "victim-search" not in known_names.complete_policies("victim"), "its newest version has none"
     file.write_text(whole.replace('"Zerg"', '"Zerh"'))
-    assert completion.complete_robots("Zer") == ["Zerg"], "what has another checksum is made anew"
+    assert known_names.complete_robots("Zer") == ["Zerg"], "what has another checksum is made anew"
     assert file.read_text() == whole
     with monkeypatch.context() as broken:
-        broken.setattr(completion, "_asked", None)
-        assert completion.complete_robots("Zer") == ["Zerg"], "the file is read"
-    monkeypatch.setattr(completion, "_fingerprint", lambda: "other")
-    assert completion.complete_robots("Zer") == ["Zerg"]
-    assert {*completion.LISTING_NAMES} == {"everything", "commands", "settings", *LISTINGS}
+        broken.setattr(known_names, "_asked", None)
+        assert known_names.complete_robots("Zer") == ["Zerg"], "the file is read"
+    monkeypatch.setattr(known_names, "_fingerprint", lambda: "other")
+    assert known_names.complete_robots("Zer") == ["Zerg"]
+    assert {*known_names.LISTING_NAMES} == {"everything", "commands", "settings", *LISTINGS}
 
 
 CASES = {

@@ -1,5 +1,5 @@
 import dev
-from usarmjx.cli.settings_page import settings_page
+from usarmjx.cli.setting_options import settings_page
 
 
 def test_the_page_of_all_settings_is_the_generated_one():

@@ -68,7 +68,7 @@ def test_tensorboard_gets_them_as_moving_pictures(tmp_path):
 
 
 def test_weights_and_biases_gets_them_as_videos(monkeypatch):
-    from usarmjx.cli import clips
+    from usarmjx.cli import train
 
     logged = []
 
@@ -77,5 +77,5 @@ def test_weights_and_biases_gets_them_as_videos(monkeypatch):
 
     module = SimpleNamespace(log=log, Video=lambda path, format: (path, format))
     monkeypatch.setattr("usarmjx.train.learning.metrics.find_wandb", lambda: module)
-    clips._to_wandb("best", clips.Path("x.gif"), 2)
+    train._to_wandb("best", train.Path("x.gif"), 2)
     assert logged == [(({"clips/best": ("x.gif", "gif")},), {"commit": False})]

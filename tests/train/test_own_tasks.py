@@ -134,7 +134,7 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
             f"usarmjx: {own}/run.npz is for the task Meet of {own}/my_task.py, which does not exist; if it "
             "has moved, add --task FILE.py:Meet"
         )
-    from usarmjx.cli.policy_options import PolicyOptions
+    from usarmjx.cli.task_options import PolicyOptions
 
     moved = PolicyOptions(policy="run.npz", task="moved.py:Meet").source()
     assert (moved.task, moved.overrides) == ("moved.py:Meet", {"near": "0.6"}), "as it was trained"

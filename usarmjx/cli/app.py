@@ -140,7 +140,7 @@ COMMANDS = {
         "Draw a recorded mission: plan, trails, scans, radio power, victims found, and all over time.",
     ),
     "film": (
-        "usarmjx.cli.film:film",
+        "usarmjx.cli.recordings:film",
         "Write a recording as a film in three dimensions, without a screen.",
     ),
     "replay": (

@@ -19,7 +19,7 @@ from usarmjx.cli.common import (
     named,
     read_size,
 )
-from usarmjx.cli.completion import complete_kinds, complete_robots
+from usarmjx.cli.known_names import complete_kinds, complete_robots
 from usarmjx.cli.listing import MarkdownFlag, check_form, show_listing
 from usarmjx.cli.startup_messages import announce
 
@@ -198,7 +198,7 @@ def generate(
         own_levels = {name: difficulty if own is None else own for name, own in levels.items()}
         level = Difficulty(**own_levels, obstacles=obstacles, risk=risk)
         arena = make(kind, read_size(size), seed, level, robot, reachable, victims, starts)
-        from usarmjx.cli.arena_tables import summary
+        from usarmjx.cli.tables import summary
 
         typer.echo(summary(arena))
         _draw(arena, png, perspective)
@@ -263,7 +263,7 @@ def lanes() -> None:
     """List the lanes: single elements of the test methods for response robots."""
     with ErrorExit():
         announce("reading the lanes ...")
-        from usarmjx.cli.arena_tables import lanes_table
+        from usarmjx.cli.tables import lanes_table
 
         typer.echo(lanes_table())
 
@@ -285,7 +285,7 @@ def obstacles(
     with ErrorExit():
         announce(f"driving a {robot} over obstacles ...")
         if write is None:
-            from usarmjx.cli.arena_tables import obstacles_table
+            from usarmjx.cli.tables import obstacles_table
 
             typer.echo(obstacles_table(robot, tries))
             return

@@ -13,8 +13,14 @@ from usarmjx.base.errors import MAX_QUOTATION, UsageError, UsarmjxError, one_lin
 from usarmjx.base.files import disk_error
 from usarmjx.base.progress import clear_status
 from usarmjx.base.settings import RenamedSettingWarning
-from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
-from usarmjx.cli.known_names import check_name, check_roster, full_name
+from usarmjx.cli.known_names import (
+    check_name,
+    check_roster,
+    complete_arenas,
+    complete_engines,
+    complete_robots,
+    full_name,
+)
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 """Exit codes beside 0: what was tried did not come out well; it could not be tried as asked for; Ctrl-C."""

@@ -20,12 +20,19 @@ from usarmjx.cli.common import (
     named,
     with_robot,
 )
-from usarmjx.cli.completion import complete_policies, complete_tasks
-from usarmjx.cli.known_names import GOAL_TEAM_WORDS, TEAM_WORDS, check_policy
-from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
+from usarmjx.cli.known_names import (
+    GOAL_TEAM_WORDS,
+    TEAM_WORDS,
+    check_policy,
+    complete_policies,
+    complete_tasks,
+)
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import (
+    PolicyEngineOption,
+    PolicyOptions,
+    SplitOption,
     TaskConfigOption,
     TaskPrintOption,
     TaskSetOption,

@@ -22,7 +22,7 @@ from usarmjx.cli.common import (
     add_robots,
     configure_from,
 )
-from usarmjx.cli.completion import complete_listings
+from usarmjx.cli.known_names import complete_listings
 from usarmjx.cli.startup_messages import announce
 
 EVERYTHING, COMMANDS, SETTINGS = "everything", "commands", "settings"
@@ -162,7 +162,7 @@ def show_listing(what: str, json: bool, markdown: bool) -> None:
         typer.echo(commands_json(app) if json else commands_page(app))
         return
     if what == SETTINGS:
-        from usarmjx.cli.settings_page import settings_page
+        from usarmjx.cli.setting_options import settings_page
 
         if json:
             raise UsageError("settings are listed as Markdown only; `--print-config` writes them as YAML")
@@ -184,9 +184,8 @@ def show_listing(what: str, json: bool, markdown: bool) -> None:
 
 def _page(what: str) -> str:
     """Return the page of a listing in the documents: of some more than its table."""
-    from usarmjx.cli.arena_tables import arenas_table
     from usarmjx.cli.catalogue import robots_table, sensors_table
-    from usarmjx.cli.tables import LISTINGS
+    from usarmjx.cli.tables import LISTINGS, arenas_table
 
     pages = {"robots": robots_table, "sensors": sensors_table, "arenas": arenas_table}
     return pages[what]() if what in pages else LISTINGS[what]().as_markdown()

@@ -15,8 +15,7 @@ from usarmjx.cli.common import (
     RadioIniOption,
     chosen_out,
 )
-from usarmjx.cli.completion import complete_robots
-from usarmjx.cli.known_names import check_name
+from usarmjx.cli.known_names import check_name, complete_robots
 from usarmjx.cli.startup_messages import announce
 
 

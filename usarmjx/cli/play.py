@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from usarmjx.cli.common import ErrorExit, WorldsOption, ends_on_signals, unwinds_on_signals
-from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
-from usarmjx.cli.ros2_options import Ros2Options
 from usarmjx.cli.serving_options import (
     Host,
     ImageOptions,
     ListenOptions,
     RadioOptions,
+    Ros2Options,
     RosOptions,
     RunOptions,
     ViewerOptions,
 )
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
+from usarmjx.cli.task_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.signals import StopSignals
 from usarmjx.server.worlds.instances import parse_instances

@@ -1,4 +1,4 @@
-"""`usarmjx view`, `plot` and `replay`: what can be done with a recording; and the option that makes one."""
+"""`usarmjx view`, `film`, `plot` and `replay`: commands about a recording; the option that makes one."""
 
 import contextlib
 import math
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from usarmjx.cli.common import ErrorExit
-from usarmjx.cli.startup_messages import announce
+from usarmjx.cli.startup_messages import announce, say
 from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_socket
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from usarmjx.server.worlds.served_world import ServedWorld
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
+
 
 HOST = "127.0.0.1"
 """Host of the page of a recording."""
@@ -38,6 +39,8 @@ PicturesOption = Annotated[
     ),
 ]
 WorldOption = Annotated[int, typer.Option(min=0, help="Which world of the recording.")]
+REPORT_PERIOD = 20.0
+"""Time between two lines about the progress [s]."""
 
 
 @contextlib.contextmanager
@@ -260,3 +263,60 @@ def export_recording(
     else:
         save_film(recording, out, world, speed)
         typer.echo(f"wrote {out}")
+
+
+def film(
+    file: FileArgument,
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Film to write, .mp4 (needs the extra `film`) or .gif; .png, .jpg: its first picture."
+        ),
+    ],
+    size: Annotated[str, typer.Option(help="Width and height in pixels.")] = "1280x720",
+    follow: Annotated[
+        str | None,
+        typer.Option(help="Name of a robot that the camera follows; else it sees the whole arena."),
+    ] = None,
+    world: WorldOption = 0,
+    since: Annotated[float, typer.Option("--from", help="Simulated time of the begin [s].")] = 0.0,
+    until: Annotated[float, typer.Option(help="Simulated time of the end [s].")] = math.inf,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Simulated seconds per second.")] = 1.0,
+    rate: Annotated[float, typer.Option(min=1.0, max=60.0, help="Pictures per second.")] = 30.0,
+    signs: Annotated[
+        bool,
+        typer.Option("--signs/--no-signs", help="Draw laser scans, rings, trails, names, time and score."),
+    ] = True,
+) -> None:
+    """Write a recording as a film in three dimensions, without a screen.
+
+    Example: usarmjx film mission.mcap --out mission.mp4 --size 1920x1080 --follow P2AT1
+    """
+    with ErrorExit():
+        from usarmjx.plots.films.film import FilmPlan, check_film, parse_size, save_film
+        from usarmjx.recording.reader import Recording
+
+        plan = FilmPlan(
+            size=parse_size(size),
+            follow=follow,
+            world=world,
+            span=(since, until),
+            speed=speed,
+            rate=rate,
+            signs=signs,
+        )
+        check_film(out)
+        announce(f"reading {file} ...")
+        recording = Recording(file)
+        tell_if_broken_off(recording.is_complete, file)
+        began, told = time.monotonic(), [time.monotonic()]
+
+        def tell(done: int, of: int) -> None:
+            now = time.monotonic()
+            if now - told[0] > REPORT_PERIOD:
+                told[0] = now
+                left = (now - began) / done * (of - done)
+                say(f"picture {done} of {of}, about {left:.0f} s left")
+
+        count = save_film(recording, out, plan, tell)
+        typer.echo(f"wrote {out}, {count} picture{'s' * (count != 1)}, {out.stat().st_size / 1e6:.1f} MB")

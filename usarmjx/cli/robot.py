@@ -9,7 +9,7 @@ import typer
 
 from usarmjx.base.settings import parse_assignments
 from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption, PiecesOption, named
-from usarmjx.cli.completion import complete_robots
+from usarmjx.cli.known_names import complete_robots
 from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:

@@ -22,12 +22,12 @@ from usarmjx.cli.common import (
     configure_from,
 )
 from usarmjx.cli.known_names import check_roster
-from usarmjx.cli.ros2_options import Ros2Options
 from usarmjx.cli.serving_options import (
     Host,
     ImageOptions,
     ListenOptions,
     RadioOptions,
+    Ros2Options,
     RosOptions,
     RunOptions,
     ViewerOptions,

@@ -1,7 +1,7 @@
 """Command-line options from the declarations of settings: typed once, shown, read and completed alike."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import MISSING, field, is_dataclass, make_dataclass
 from pathlib import Path
@@ -18,25 +18,32 @@ from usarmjx.base.settings import (
     describe,
     members_of,
     read_file,
+    rows_of,
     settings_table,
     summary,
     to_text,
     to_yaml,
 )
+from usarmjx.base.tables import markdown_table
 from usarmjx.cli.common import ErrorExit
 
 METAVARS: dict[Any, str] = {int: "N", float: "NUMBER", Path: "PATH"}
 MOST_LISTED = 4
 """Words that an option's help lists in place of a value."""
-
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
-
 CONFIG_HELP = "Settings from a YAML, JSON or TOML file."
 ConfigOption = Annotated[Path | None, typer.Option("--config", metavar="FILE", help=CONFIG_HELP)]
 PrintConfigOption = Annotated[
     bool, typer.Option("--print-config", help="Write the settings as a file for --config, and end.")
 ]
+HEAD = """# All settings
+
+This page is the output of `usarmjx list settings --markdown`; a test keeps it so. `usarmjx train TASK --help`
+prints those of one task. `--set NAME=VALUE` and `--config FILE` set them, `--print-config` writes them. The
+table of a task has its own fields, and those of all tasks whose default is another one.
+"""
+COLUMNS = ("setting", "default", "value", "meaning")
 
 
 def with_settings(command: F) -> F:
@@ -244,3 +251,43 @@ def _built(kind: type, values: Mapping[str, Any], base: object) -> object:
     checked = reader.values(kind, {name: value for name, value in data.items() if name not in typed})
     kept = {} if base is None else {one.name: getattr(base, one.name) for one in describe(kind)}
     return kind(**{**kept, **{name: value for name, value in data.items() if name in typed}, **checked})
+
+
+def settings_page() -> str:
+    """Return tables of all settings, as Markdown."""
+    return "\n".join([HEAD, *(f"## {title}\n\n{_table(rows)}\n" for title, rows in _sections())]).rstrip()
+
+
+def _sections() -> Iterator[tuple[str, list[tuple[str, str, str, str]]]]:
+    from usarmjx.comms.attenuation import RadioSettings
+    from usarmjx.comms.mail import MessageSettings
+    from usarmjx.models.compile.physics import Physics
+    from usarmjx.models.compile.randomization import DomainRandomization
+    from usarmjx.sweeps.spec import Cell
+    from usarmjx.train.envs.recipe import GeneratedArenas
+    from usarmjx.train.envs.task import Task
+    from usarmjx.train.learning.config import Config
+    from usarmjx.train.tasks import TASKS
+
+    yield "Trainings", _rows(Config)
+    yield "All tasks", _rows(Task)
+    common = {row[0]: row for row in _rows(Task)}
+    for name in TASKS.names():
+        task = TASKS.get(name)
+        yield f"Task {name}", [row for row in _rows(type(task), task) if common.get(row[0]) != row]
+    yield "Physics: `physics.NAME`", _rows(Physics)
+    yield "Radio: `radio.NAME`", _rows(RadioSettings)
+    yield "Messages: `mail.NAME`", _rows(MessageSettings)
+    yield "Randomisation: `vary.NAME`", _rows(DomainRandomization)
+    yield "Generated arenas", _rows(GeneratedArenas)
+    yield "Cells of sweeps", _rows(Cell)
+
+
+def _rows(kind: type, base: object = None) -> list[tuple[str, str, str, str]]:
+    """Return the settings of a class without those of nested ones, which have tables of their own."""
+    return [row for row in rows_of(kind, base) if "." not in row[0]]
+
+
+def _table(rows: list[tuple[str, str, str, str]]) -> str:
+    cells = [(f"`{name}`", f"`{default}`", expects, text) for name, expects, default, text in rows]
+    return markdown_table(COLUMNS, cells)

@@ -9,7 +9,6 @@ import typer
 from typer.core import TyperGroup
 
 from usarmjx.base.settings import parse_assignments, read_file
-from usarmjx.cli.checkout import import_benchmarks
 from usarmjx.cli.common import (
     ErrorExit,
     PackagesOption,
@@ -19,8 +18,8 @@ from usarmjx.cli.common import (
     named,
     with_robot,
 )
-from usarmjx.cli.completion import complete_engines
-from usarmjx.cli.known_names import check_file
+from usarmjx.cli.known_names import check_file, complete_engines
+from usarmjx.cli.lazy_commands import import_benchmarks
 from usarmjx.cli.startup_messages import announce, say, tried_on
 
 COMMANDS = ("run", "show", "compare", "report")

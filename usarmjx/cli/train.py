@@ -1,4 +1,4 @@
-"""`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
+"""`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files; clips."""
 
 import os
 import socket
@@ -18,7 +18,6 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import (
     to_yaml,
 )
-from usarmjx.cli.clips import ClippedTraining
 from usarmjx.cli.common import (
     ErrorExit,
     OldOutArgument,
@@ -30,19 +29,27 @@ from usarmjx.cli.common import (
     named,
     with_robot,
 )
-from usarmjx.cli.completion import complete_tasks
-from usarmjx.cli.known_names import check_policy
-from usarmjx.cli.policy_options import PolicyEngineOption
+from usarmjx.cli.known_names import check_policy, complete_tasks
 from usarmjx.cli.recordings import PicturesOption, RecordOption, export_recording
-from usarmjx.cli.seeds import check_alone, check_curriculum, result_line, run_seeds, trains_seeds
 from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table
 from usarmjx.cli.startup_messages import announce, say, tried_on
-from usarmjx.cli.task_options import task_text
-from usarmjx.cli.train_plan import TrainOptions, plan_run, recorded_engine, stop_request
+from usarmjx.cli.task_options import PolicyEngineOption, task_text
+from usarmjx.cli.train_plan import (
+    TrainOptions,
+    check_alone,
+    check_curriculum,
+    plan_run,
+    recorded_engine,
+    result_line,
+    run_seeds,
+    stop_request,
+    trains_seeds,
+)
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.server.runtime.parent_pipe import ParentPipe
 
 if TYPE_CHECKING:
+    from usarmjx.plots.clips import Sink
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
     from usarmjx.train.learning.config import Config
@@ -53,7 +60,6 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 """Host of the live page of a training."""
 app = typer.Typer()
-
 TrainSetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -63,6 +69,65 @@ TrainSetOption = Annotated[
         help="A setting of the training or the task, see `usarmjx train TASK --help`; may be repeated.",
     ),
 ]
+
+
+class ClippedTraining:
+    """A training of which clips are made.
+
+    Args:
+        out: Folder of the run; clips go into its folder `clips`, and into TensorBoard's.
+        every: Iterations from one clip to the next.
+        wandb: Whether the run is shown in Weights & Biases, too.
+    """
+
+    def __init__(self, out: Path, every: int, wandb: bool) -> None:
+        self._out, self._every, self._wandb = out, every, wandb
+        self._held = ExitStack()
+
+    def begin(self, env: "Env", config: "Config") -> None:
+        """Take the training's worlds and its settings."""
+        from usarmjx.plots.clips import Clips
+        from usarmjx.train.learning.tensorboard import TensorBoardLog
+
+        agents = sum(len(group.agents) for group in env.groups)
+        steps = config.rollout_length * config.num_worlds * agents
+        # A file of its own, as the curves' is held by the training; TensorBoard shows it as a run beside it.
+        board = TensorBoardLog(self._out / "tensorboard" / "clips", 0)
+        self._held.callback(board.close)
+
+        def to_board(rank: str, path: Path, iteration: int) -> None:
+            board.show_picture(iteration * steps, f"clips/{rank}", path.read_bytes())
+
+        sinks: tuple[Sink, ...] = (to_board, _to_wandb) if self._wandb else (to_board,)
+        self._clips = Clips(env, self._out / "clips", self._every, sinks)
+
+    def look(self, state: "EnvState") -> None:
+        """Ignore it."""
+
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Make clips, if the iteration is one of those."""
+        from usarmjx.base.errors import WriteError
+
+        try:
+            self._clips.inspect(inputs)
+        except (OSError, WriteError) as error:
+            say(f"no clips of iteration {inputs.iteration}: {error}; training goes on")
+
+    def close(self) -> None:
+        """Complete TensorBoard's file."""
+        self._held.close()
+
+
+def _to_wandb(rank: str, path: Path, iteration: int) -> None:
+    """Add a clip to what is logged next; a service elsewhere may fail, training goes on."""
+    from usarmjx.train.learning.metrics import find_wandb
+
+    del iteration
+    module = find_wandb()
+    try:
+        module.log({f"clips/{rank}": module.Video(str(path), format="gif")}, commit=False)
+    except Exception as error:
+        say(f"note: Weights & Biases has no clip {path.name}: {error}")
 
 
 class TrainCommand(TyperCommand):
@@ -166,7 +231,6 @@ WandbOption = Annotated[
 RecordEveryOption = Annotated[
     int, typer.Option(min=1, help="With --record: iterations from one kept to the next; 4 worlds of each.")
 ]
-
 ClipsOption = Annotated[
     int,
     typer.Option(

@@ -1,25 +1,36 @@
-"""The plan of a training: what is typed, over what a run, its source or its task has otherwise."""
+"""The plan of a training, of one seed or several: what is typed, over what else gives a value."""
 
-from collections.abc import Generator
+import os
+from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import typer
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import FileValue, Text, default_reader, parse_assignments, read_file
 from usarmjx.base.settings.json_file import read_json
 from usarmjx.cli.common import ends_on_signals
 from usarmjx.cli.setting_options import option_name
-from usarmjx.cli.startup_messages import say
+from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import field_texts, fields_over
 
 if TYPE_CHECKING:
+    from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.task import Task
     from usarmjx.train.learning.config import Config
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
+    from usarmjx.train.learning.iterations import TrainResult
     from usarmjx.train.learning.run_record import EnvArguments
     from usarmjx.train.learning.stopping import StopRequest
+
+
+SET_FILE = "seeds.json"
+"""`SET_FILE` of the trainer, whose module imports JAX."""
+CURRICULUM = "curriculum"
+"""Field of `Config`, whose module imports JAX."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,3 +221,106 @@ def stop_request() -> "Generator[StopRequest]":
         early.enter_context(ends_on_signals())
         with StopRequest(say, early.close) as request:
             yield request
+
+
+def trains_seeds(out: Path, count: int | None, resume: bool) -> bool:
+    """Return whether several seeds are to be trained: a number of new ones, or those in the folder."""
+    return count is not None or (resume and (out / SET_FILE).exists())
+
+
+def check_alone(views: Mapping[str, bool], processes: int) -> None:
+    """Refuse what goes with a single seed only.
+
+    Args:
+        views: Whether the run is to be shown, by option.
+        processes: Number of processes.
+
+    Raises:
+        UsageError: Names it.
+    """
+    from usarmjx.train.learning.launch import process_info
+
+    if processes > 1 or process_info(os.environ) is not None:
+        raise UsageError("several seeds train in one process: leave out --processes, or --seeds")
+    if shown := [name for name, wanted in views.items() if wanted]:
+        raise UsageError(f"{shown[0]} shows a single seed: leave it out, or --seeds")
+
+
+def check_curriculum(options: TrainOptions) -> None:
+    """Refuse a curriculum, before JAX is imported; other values are refused where they are read.
+
+    Args:
+        options: The request.
+
+    Raises:
+        UsageError: Seeds that train together have no curriculum; or as `read_file`, `parse_assignments`.
+    """
+    data = {} if options.config is None else read_file(options.config).mapping()
+    typed = parse_assignments(options.pairs, "--set").get(CURRICULUM)
+    value = data[CURRICULUM].data if typed is None and CURRICULUM in data else typed
+    try:
+        share = float(str(value))
+    except ValueError:
+        return
+    if 0 < share <= 1:
+        raise UsageError(f"{CURRICULUM} is {share}: seeds that train together have none")
+
+
+def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) -> None:
+    """Train several seeds in this process, and print their scores.
+
+    Args:
+        task: Name of the task.
+        options: The request; its seed is the first one.
+        count: Number of seeds; None: those of the folder.
+        quiet: Show no bar.
+
+    Raises:
+        UsageError: As `train_seeds`.
+    """
+    recorded = options.resume and options.engine == "auto"
+    engine = tried_on(options.engine)
+    if recorded:
+        engine = next((recorded_engine(one.parent) for one in options.out.glob("seed-*/config.json")), engine)
+    announce(f"building worlds for {task} ...", engines=[engine])
+    from usarmjx.train.learning.processes import distributed_run
+
+    with distributed_run():
+        from usarmjx.train.learning.run_record import load_seeds, seed_folder
+        from usarmjx.train.learning.seed_runs import train_seeds
+        from usarmjx.train.make import make
+
+        there = load_seeds(options.out) if options.resume else ()
+        known = replace(options, out=seed_folder(options.out, there[0])) if there else options
+        plan = plan_run(task, known)
+        first = plan.config.seed
+        seeds = there if there and count is None else tuple(range(first, first + (count or 1)))
+
+        def worlds_of(count: int, first: int) -> "Env":
+            given = {"worlds": count, "engine": plan.origin.engine, "seed": plan.config.seed, "first": first}
+            return make(task, **given, **plan.overrides)
+
+        with stop_request() as stop:
+            results = train_seeds(
+                worlds_of,
+                plan.config,
+                options.out,
+                seeds,
+                options.resume,
+                origin=plan.origin,
+                source=plan.source,
+                progress=not quiet,
+                stop=stop,
+            )
+    for result in results:
+        typer.echo(result_line(result))
+    if results[0].stopped:
+        say(f"go on with: usarmjx train {task} --out {options.out} --resume")
+        raise typer.Exit(128 + stop.number)
+
+
+def result_line(result: "TrainResult") -> str:
+    """Return the result of a run in a line."""
+    score = result.last_metrics.get("score")
+    shown = score if score is None else round(score, 3)
+    return f"{result.agent_steps:,} agent steps, score {shown}: {result.run}"

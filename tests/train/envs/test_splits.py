@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.cli.app import app
-from usarmjx.cli.policy_options import PolicyOptions
+from usarmjx.cli.task_options import PolicyOptions
 from usarmjx.train.envs.recipe import HELD_OUT_END, HELD_OUT_START, SPLITS, GeneratedArenas, held_out
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.evaluate import play_episodes

@@ -8,7 +8,7 @@ import pytest
 
 from usarmjx.base import random
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.cli.policy_options import PolicyOptions
+from usarmjx.cli.task_options import PolicyOptions
 from usarmjx.train.policies.untrained import UNTRAINED
 
 ENV = SimpleNamespace(groups=(SimpleNamespace(action_size=2), SimpleNamespace(action_size=3)))

@@ -1,4 +1,4 @@
-"""JSON within limits, as plain data; and files with a checksum of their content, which usarmjx keeps for itself.
+"""JSON within limits, as plain data; and files with a checksum, which usarmjx keeps for itself.
 
 The checksum is of the content, not of the bytes: a file may be formatted anew.
 """

@@ -4,8 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from usarmjx.cli.console.knowledge import Knowledge
-from usarmjx.cli.console.vocabulary import (
+from usarmjx.cli.console.knowledge import (
     ASKED_TYPES,
     CLASS_PREFIX,
     KEYS,
@@ -13,6 +12,7 @@ from usarmjx.cli.console.vocabulary import (
     SENSOR_OPCODES,
     VALUES,
     VIEWPORTS,
+    Knowledge,
     heads,
 )
 
