@@ -22,9 +22,9 @@ from usarmjx.recording.inputs import StepState
 from usarmjx.recording.reader import Recording
 from usarmjx.sim.calibration import _measured
 from usarmjx.sim.trials.obstacles import _measured_before, success_text
-from usarmjx.sweeps.results import RunResult, read_result
 from usarmjx.sweeps.spec import load_spec
 from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, write_sweep
+from usarmjx.sweeps.suite import RunResult, read_result
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part, write_part
 from usarmjx.train.learning.config import Config

@@ -15,7 +15,7 @@ from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.types.arena import Door
 from usarmjx.models.types.robot import resolve_settings
 from usarmjx.sensors.suite import SENSORS
-from usarmjx.sweeps.typed import typed_settings
+from usarmjx.sweeps.resolve import typed_settings
 from usarmjx.train import Config
 from usarmjx.train.make import make_task, task_values
 from usarmjx.train.policies.sources import task_settings

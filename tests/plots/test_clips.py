@@ -8,7 +8,7 @@ from PIL import Image
 from tensorboardX.proto.event_pb2 import Event
 
 import usarmjx
-from usarmjx.plots.clips import Clips, ranked_worlds
+from usarmjx.plots.play import Clips, ranked_worlds
 from usarmjx.train.learning.rollout_inputs import RolloutInputs
 from usarmjx.train.learning.tensorboard import TensorBoardLog
 

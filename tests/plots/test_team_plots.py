@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from tests.arenas import FLAT
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
+from usarmjx.plots.play import TeamWays, draw_finds, draw_ways, plot_teams
 from usarmjx.plots.style import PALETTE
-from usarmjx.plots.team_plots import TeamWays, draw_finds, draw_ways, plot_teams
 from usarmjx.train.evaluation import yardsticks
 from usarmjx.train.evaluation.yardsticks import TeamResult
 
@@ -113,7 +113,7 @@ def test_what_cannot_play_is_refused_in_a_line(words, complaint):
 
 def test_watching_takes_down_the_first_world(monkeypatch):
     places = iter([np.zeros((2, 3)), np.ones((2, 3)), np.full((2, 3), 2.0)])
-    monkeypatch.setattr("usarmjx.plots.team_plots.positions_of", lambda env, state: (next(places), None))
+    monkeypatch.setattr("usarmjx.plots.play.positions_of", lambda env, state: (next(places), None))
     seen = TeamWays()
     env = SimpleNamespace(batch=SimpleNamespace(arena_of=lambda state, world: FLAT), period=0.2)
     for name in ("a", "a", "b"):

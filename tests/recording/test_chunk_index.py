@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from usarmjx.recording.chunk_index import ENTRIES, keep_index_in_file
+from usarmjx.recording.file import ENTRIES, keep_index_in_file
 
 CHUNKS, CHANNELS = 40, 7
 

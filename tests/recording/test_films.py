@@ -14,8 +14,7 @@ from usarmjx.cli.app import app
 from usarmjx.engines.c.camera_rays import CCameraRays
 from usarmjx.plots.films.film import FilmPlan, Shots, caption, picture_times, save_film
 from usarmjx.plots.films.picture import FilmScene
-from usarmjx.plots.films.raster import Canvas, clip_near
-from usarmjx.plots.films.views import FilmView
+from usarmjx.plots.films.raster import Canvas, FilmView, clip_near
 from usarmjx.plots.gallery import SUN
 from usarmjx.plots.render import Lighting, lit_scene
 from usarmjx.recording.reader import Recording

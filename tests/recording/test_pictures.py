@@ -15,7 +15,7 @@ from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.models.types.shapes import Shape
-from usarmjx.plots.films.eyes import SIZE
+from usarmjx.plots.films.picture import SIZE
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.recorded import record_worlds
 

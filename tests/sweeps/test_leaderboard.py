@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usarmjx.sweeps.leaderboard import leaderboard_page, replay
-from usarmjx.sweeps.results import SUFFIX, read_result, read_results, run_digest
 from usarmjx.sweeps.spec import find_suite
-from usarmjx.sweeps.suite import load_suite
+from usarmjx.sweeps.standings import leaderboard_page, replay
+from usarmjx.sweeps.suite import SUFFIX, load_suite, read_result, read_results, run_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER, PAGE = ROOT / "leaderboard", ROOT / "docs" / "leaderboard.md"

@@ -7,9 +7,9 @@ from typer.testing import CliRunner
 
 from tests.sweeps.conftest import write
 from usarmjx.cli.app import app
-from usarmjx.sweeps import probe
+from usarmjx.sweeps import progress
 from usarmjx.sweeps.play import BatchWork
-from usarmjx.sweeps.probe import STEPS, SweepProbe, probe_works
+from usarmjx.sweeps.progress import STEPS, SweepProbe, probe_works
 
 FIRST, STEP = 3.0, 0.25
 
@@ -30,10 +30,10 @@ def fake(monkeypatch):
                 played.append(number)
                 clock[0] += STEP
 
-    monkeypatch.setattr(probe, "GroupRunner", Runner)
-    monkeypatch.setattr(probe.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(progress, "GroupRunner", Runner)
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
     monkeypatch.setattr(
-        probe,
+        progress,
         "resolved",
         lambda settings: SimpleNamespace(
             episodes=settings["episodes"],

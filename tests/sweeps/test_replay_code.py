@@ -7,11 +7,10 @@ from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.sweeps.leaderboard import check_origin
-from usarmjx.sweeps.results import RunResult, run_digest
 from usarmjx.sweeps.spec import find_suite
+from usarmjx.sweeps.standings import check_origin
 from usarmjx.sweeps.store import CellRecord
-from usarmjx.sweeps.suite import load_suite
+from usarmjx.sweeps.suite import RunResult, load_suite, run_digest
 
 CODE = """
 import pathlib

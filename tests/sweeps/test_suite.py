@@ -11,13 +11,17 @@ from tests.sweeps.conftest import SMALL
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Resampler
 from usarmjx.cli.app import app
-from usarmjx.sweeps.leaderboard import leaderboard_page, replay
-from usarmjx.sweeps.profiles import plot_profiles
-from usarmjx.sweeps.results import RunResult, read_result, read_results, run_digest
+from usarmjx.sweeps.figures import plot_profiles
 from usarmjx.sweeps.spec import find_suite
-from usarmjx.sweeps.standings import standings_of, standings_record, standings_report
+from usarmjx.sweeps.standings import (
+    leaderboard_page,
+    replay,
+    standings_of,
+    standings_record,
+    standings_report,
+)
 from usarmjx.sweeps.store import CellRecord
-from usarmjx.sweeps.suite import load_suite, run_suite
+from usarmjx.sweeps.suite import RunResult, load_suite, read_result, read_results, run_digest, run_suite
 
 FEW, BUILDINGS, RUNS = Resampler(200), 6, 3
 TASKS = {"explore-v2": 40.0, "relay-chain-v1": 20.0}

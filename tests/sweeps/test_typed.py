@@ -6,7 +6,7 @@ import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import parse_assignments
-from usarmjx.sweeps.typed import typed_settings
+from usarmjx.sweeps.resolve import typed_settings
 
 TASKS = ["drive-to-goal"]
 

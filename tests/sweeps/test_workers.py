@@ -14,10 +14,8 @@ from pathlib import Path
 import pytest
 
 from usarmjx.base.errors import UsageError
-from usarmjx.sweeps import ray_workers
-from usarmjx.sweeps.guard import children, end_with_this_process
-from usarmjx.sweeps.local_workers import TRIES
-from usarmjx.sweeps.workers import Workers, gpus
+from usarmjx.sweeps import workers
+from usarmjx.sweeps.workers import TRIES, Workers, children, end_with_this_process, gpus
 
 work = builtins.eval
 """What a worker can import without importing tests: a piece of work is an expression."""
@@ -124,7 +122,7 @@ def is_alive(process):
 def test_what_ray_starts_ends_with_the_process_that_started_it():
     """A process in Ray's place: a child of a parent that is killed, and is not told to end."""
     code = (
-        "import subprocess, sys; from usarmjx.sweeps.guard import children, end_with_this_process\n"
+        "import subprocess, sys; from usarmjx.sweeps.workers import children, end_with_this_process\n"
         "before = children(); child = subprocess.Popen(['sleep', '60'])\n"
         "guard = end_with_this_process(children() - before); print(child.pid, flush=True); sys.stdin.read()"
     )
@@ -189,8 +187,8 @@ def test_results_larger_than_the_object_store_of_ray_all_arrive(ray_head):
 
 @pytest.mark.tools
 def test_a_restarted_head_of_ray_is_joined_again_and_all_is_done_once(ray_head, monkeypatch, caplog):
-    monkeypatch.setattr(ray_workers, "SILENCE", 2.0)
-    monkeypatch.setattr(ray_workers, "ANSWER", 10.0)
+    monkeypatch.setattr(workers, "SILENCE", 2.0)
+    monkeypatch.setattr(workers, "ANSWER", 10.0)
     pieces = [f"(__import__('time').sleep(1), {number})[1]" for number in range(6)]
     with ExitStack() as stack:
         first = stack.enter_context(ExitStack())
@@ -208,11 +206,11 @@ def test_a_restarted_head_of_ray_is_joined_again_and_all_is_done_once(ray_head, 
 @pytest.mark.tools
 def test_a_cluster_of_ray_that_does_not_come_back_ends_in_one_line(ray_head, monkeypatch):
     for name, seconds in {"SILENCE": 2.0, "ANSWER": 10.0}.items():
-        monkeypatch.setattr(ray_workers, name, seconds)
+        monkeypatch.setattr(workers, name, seconds)
     with ray_head() as address:
         found = Workers(place="ray", count=1, address=address).run(work, ["1", "__import__('time').sleep(9)"])
         assert next(found) == (0, 1, None)
-    monkeypatch.setattr(ray_workers, "RETURN", 0.0)
+    monkeypatch.setattr(workers, "RETURN", 0.0)
     with pytest.raises(UsageError, match=f"Ray does not start at {address}: .*; finished cells are kept"):
         list(found)
 

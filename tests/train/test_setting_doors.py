@@ -7,9 +7,8 @@ import pytest
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import parse_assignments, settings_markdown
 from usarmjx.cli.train_plan import TrainOptions, read_settings
-from usarmjx.sweeps.resolve import resolve
+from usarmjx.sweeps.resolve import resolve, typed_settings
 from usarmjx.sweeps.spec import complete
-from usarmjx.sweeps.typed import typed_settings
 from usarmjx.train.learning.config import Config, task_config
 from usarmjx.train.make import make_task
 from usarmjx.train.policies.sources import task_settings

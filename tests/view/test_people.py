@@ -19,8 +19,7 @@ from usarmjx.view.controls import BY_CLIENT, BY_PAGE, ControlLock, StartPoseChoi
 from usarmjx.view.drawing import RobotFrame
 from usarmjx.view.page import ViewerPage
 from usarmjx.view.robot_controls import DIRECTIONS, HOLD_TIMEOUT, DrivePad, pad_html
-from usarmjx.view.robot_panel import MAX_POINTS, WINDOW, SensorPlot, state_html
-from usarmjx.view.user_panels import TAKE, UserPanels, banner_html
+from usarmjx.view.user_panels import MAX_POINTS, TAKE, WINDOW, SensorPlot, UserPanels, banner_html, state_html
 
 CLASSES = ("Talon", "kenaf", "AirRobot", "ERS", "UnitLoader")
 TALON, KENAF, DRONE, DOG, LOADER = range(len(CLASSES))

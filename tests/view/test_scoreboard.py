@@ -11,8 +11,17 @@ from usarmjx.view.client_page import HELD, ICON, LIBRARY, MARK, PRODUCT, page_fo
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, DrawnMount, DrawnTag
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.marks import DROPPED_RGB, TAG_RGB
-from usarmjx.view.legend import ENTRIES, css_rgb, legend_html
-from usarmjx.view.scoreboard import BoardFacts, MissionLog, board_html, clock, known_area, state_of
+from usarmjx.view.scoreboard import (
+    ENTRIES,
+    BoardFacts,
+    MissionLog,
+    board_html,
+    clock,
+    css_rgb,
+    known_area,
+    legend_html,
+    state_of,
+)
 
 OWNERS = np.array([0, 0, -1, 2])
 """Two victims, 1 and 3 for people, and a false alarm between them."""

@@ -117,8 +117,8 @@ def _compare(
 ) -> None:
     """Play teams, print the table, write it and draw it."""
     from usarmjx.engines import choose_engine
+    from usarmjx.plots.play import TeamWays, plot_teams
     from usarmjx.plots.style import check_figure
-    from usarmjx.plots.team_plots import TeamWays, plot_teams
     from usarmjx.train.evaluation import yardsticks
     from usarmjx.train.policies.sources import task_settings, usual_split
 

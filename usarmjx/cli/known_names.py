@@ -4,7 +4,7 @@
 test compares it with them. A name that it lacks but that some source has between quotes may be new: the
 command looks it up in the registry then.
 
-The names that a shell completes are in a file of the cache: registries take seconds to import. A change of the
+A shell completes names from a file of the cache, because registries take seconds to import. A change of the
 package's folders of robots, arenas, tasks, kinds, engines or policies makes that file anew.
 """
 

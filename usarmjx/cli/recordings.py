@@ -165,7 +165,7 @@ def rendered(file: Path, period: float | None, world: int | None = None) -> "Ite
     """Yield pictures of the cameras in a recording, rendered as they are taken; none without a period."""
     if period is None:
         return
-    from usarmjx.plots.films.eyes import camera_shots
+    from usarmjx.plots.films.picture import camera_shots
     from usarmjx.recording.reader import Recording
 
     with contextlib.closing(Recording(file)) as recording:

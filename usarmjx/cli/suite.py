@@ -92,9 +92,8 @@ def show(
 
         file = find_suite(suite)
         announce("resampling runs and buildings ...", engines=[])
-        from usarmjx.sweeps.results import read_results
         from usarmjx.sweeps.standings import standings_of, standings_record, standings_report
-        from usarmjx.sweeps.suite import load_suite
+        from usarmjx.sweeps.suite import load_suite, read_results
 
         if figure is not None:
             from usarmjx.plots.style import check_figure
@@ -112,7 +111,7 @@ def show(
                     json_format.dumps(standings_record(found), indent=1) + "\n", encoding="utf-8"
                 )
         if figure is not None:
-            from usarmjx.sweeps.profiles import plot_profiles
+            from usarmjx.sweeps.figures import plot_profiles
 
             plot_profiles(found, figure)
             typer.echo(f"wrote {figure}")
@@ -126,7 +125,7 @@ def leaderboard(
     """Write the leaderboard page from results files on split test."""
     with ErrorExit():
         announce("resampling runs and buildings ...", engines=[])
-        from usarmjx.sweeps.leaderboard import write_leaderboard
+        from usarmjx.sweeps.standings import write_leaderboard
 
         write_leaderboard(results, out)
         typer.echo(f"wrote {out}")
@@ -151,10 +150,9 @@ def replay(
         if suite is not None:
             find_suite(suite)
         announce(f"playing {episodes} buildings of each task in {file} ...", engines=[])
-        from usarmjx.sweeps.leaderboard import replay as play_again
-        from usarmjx.sweeps.results import read_result
         from usarmjx.sweeps.spec import find_suite
-        from usarmjx.sweeps.suite import load_suite
+        from usarmjx.sweeps.standings import replay as play_again
+        from usarmjx.sweeps.suite import load_suite, read_result
 
         result = read_result(file)
         again = play_again(result, load_suite(find_suite(suite or result.suite)), episodes, run=run)

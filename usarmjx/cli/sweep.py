@@ -220,7 +220,7 @@ def _show_plan(spec: Any, prepared: Any, workers: Any, probe: bool) -> None:  # 
     if not probe or not prepared.cells:
         return
     announce("playing some steps of the largest batch ...")
-    from usarmjx.sweeps.probe import probe_works
+    from usarmjx.sweeps.progress import probe_works
     from usarmjx.sweeps.run import batches_of
 
     found = probe_works(batches_of(prepared))
@@ -235,8 +235,8 @@ def say_line(line: str) -> None:
 
 def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:
     """Return settings of all cells from texts; names that cells do not have are fields of their tasks."""
+    from usarmjx.sweeps.resolve import typed_settings
     from usarmjx.sweeps.spec import load_spec
-    from usarmjx.sweeps.typed import typed_settings
 
     if not texts:
         return {}

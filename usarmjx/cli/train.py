@@ -49,7 +49,7 @@ from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_serv
 from usarmjx.server.runtime.parent_pipe import ParentPipe
 
 if TYPE_CHECKING:
-    from usarmjx.plots.clips import Sink
+    from usarmjx.plots.play import Sink
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
     from usarmjx.train.learning.config import Config
@@ -86,7 +86,7 @@ class ClippedTraining:
 
     def begin(self, env: "Env", config: "Config") -> None:
         """Take the training's worlds and its settings."""
-        from usarmjx.plots.clips import Clips
+        from usarmjx.plots.play import Clips
         from usarmjx.train.learning.tensorboard import TensorBoardLog
 
         agents = sum(len(group.agents) for group in env.groups)

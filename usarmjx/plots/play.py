@@ -1,10 +1,10 @@
-"""Pictures of a policy at work: one world from above, as a strip of moments (PNG) or moving (GIF)."""
+"""Pictures of a policy at work from above: moments, films, clips of a training, ways and finds of teams."""
 
 # Matplotlib leaves the types of keywords open.
 # pyright: reportUnknownMemberType=false
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,13 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
-from usarmjx.plots.style import PALETTE
+from usarmjx.plots.style import PAGE, PALETTE, PANEL_HEIGHT, figure_style, save_figure
 from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.task import Policy
+from usarmjx.train.evaluation.yardsticks import QUARTERS, TeamResult
+from usarmjx.train.learning.rollout_inputs import RolloutInputs, play_again
 
 WORLD = 0
 """The world that is looked at."""
@@ -43,6 +45,11 @@ MAX_FRAMES = 150
 GIF_SPEEDUP = 2.0
 """Speed of a GIF relative to simulated time."""
 GOAL, LOOSE = "#c4122f", "#f2730a"
+RANKS = ("best", "median", "worst")
+Sink = Callable[[str, Path, int], None]
+"""Receives a clip: `best`, `median` or `worst`, its GIF file, and the number of the iteration."""
+PLAN_WIDTH = PAGE / COLUMNS
+"""Width of a plan [inches]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,3 +255,153 @@ def check_suffix(path: Path) -> None:
     """
     if path.suffix.lower() not in WRITERS:
         raise UsageError(f"{path}: pictures end in {', '.join(WRITERS)}")
+
+
+def ranked_worlds(reward: np.ndarray, bad: np.ndarray) -> dict[str, int]:
+    """Return the worlds with the highest, the median and the lowest sum of rewards, by rank.
+
+    Args:
+        reward: Rewards of each step (steps, worlds).
+        bad: Steps in which a world went bad (steps, worlds); such a world counts only if all are bad.
+    """
+    sound = np.flatnonzero(~bad.any(0))
+    worlds = np.asarray(sound if len(sound) else np.arange(bad.shape[1]), int)
+    order = worlds[np.argsort(reward[:, worlds].sum(0), kind="stable")]
+    return dict(zip(RANKS, map(int, (order[-1], order[len(order) // 2], order[0])), strict=True))
+
+
+class Clips:
+    """Clips of every n-th iteration of a training, made by playing its rollout again.
+
+    A clip goes on to the end of the rollout, or of the episode if that is sooner. Engines that compile a
+    whole iteration compile a single action once more for this.
+
+    Args:
+        env: The worlds of the training.
+        folder: For the GIF files.
+        every: Iterations from one to the next.
+        sinks: Receivers of each clip.
+    """
+
+    def __init__(self, env: Env, folder: Path, every: int, sinks: tuple[Sink, ...] = ()) -> None:
+        self._env, self._folder, self._every, self._sinks = env, folder, every, sinks
+
+    def inspect(self, inputs: RolloutInputs) -> None:
+        """Make clips of a rollout, if its iteration is one of those."""
+        if inputs.iteration % self._every:
+            return
+        worlds = ranked_worlds(np.asarray(inputs.reward), np.asarray(inputs.bad))
+        for rank, shown in self._shown(inputs, worlds).items():
+            path = self._folder / f"iteration-{inputs.iteration:06d}-{rank}.gif"
+            save_recording(shown, path)
+            for sink in self._sinks:
+                sink(rank, path, inputs.iteration)
+
+    def _shown(self, inputs: RolloutInputs, worlds: dict[str, int]) -> dict[str, EpisodeRecording]:
+        env = self._env
+        ended = np.asarray(inputs.done).cumsum(0) > 0
+        moments = {rank: [self._moment(inputs.env_state, world)] for rank, world in worlds.items()}
+        for step, _, after in play_again(env, inputs, inputs.steps):
+            for rank, world in worlds.items():
+                if not ended[step, world]:
+                    moments[rank].append(self._moment(after, world))
+        names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
+        goal = getattr(inputs.env_state.memory, "goal", None)
+        in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
+        found: dict[str, EpisodeRecording] = {}
+        for rank, world in worlds.items():
+            scores, poses, loose = (np.array(column) for column in zip(*moments[rank], strict=True))
+            found[rank] = EpisodeRecording(
+                task=f"{env.name}, iteration {inputs.iteration}, {rank}",
+                arena=env.batch.arena_of(inputs.env_state.batch, world),
+                names=names,
+                times=np.arange(len(scores)) * env.period,
+                scores=scores,
+                poses=poses,
+                loose=loose,
+                goal=np.asarray(goal)[world] if in_plane else None,
+                end="",
+            )
+        return found
+
+    def _moment(self, state: EnvState, world: int) -> tuple[float, np.ndarray, np.ndarray]:
+        return float(np.asarray(state.score)[world]), *positions_of(self._env, state, world)
+
+
+class TeamWays:
+    """Tracks of each team's robots in world 0: a `watch` of `measure_teams`.
+
+    Attributes:
+        arena: Arena of world 0.
+        ways: By team: x, y [m] and yaw [rad] of its robots at the begin of each step, [(robots, 3), ...].
+        period: Length of a step [s].
+    """
+
+    def __init__(self) -> None:
+        self.arena: ArenaSpec | None = None
+        self.ways: dict[str, list[np.ndarray]] = {}
+        self.period = 0.0
+
+    def __call__(self, name: str, env: Env, state: EnvState) -> None:
+        """Take down where they are."""
+        if self.arena is None:
+            self.arena, self.period = env.batch.arena_of(state.batch, WORLD), env.period
+        self.ways.setdefault(name, []).append(positions_of(env, state)[0])
+
+
+def draw_finds(axes: Axes, rows: Sequence[TeamResult], period: float) -> None:
+    """Draw the points for finds over time, a line for each team, and the quarters of the time.
+
+    The legend is above the panel, where it covers no line.
+    """
+    for number, row in enumerate(rows):
+        times = period * np.arange(len(row.finds) + 1)
+        label = f"{row.name}: score {row.score.value:.1f}"
+        axes.plot(times, [0.0, *row.finds], color=PALETTE[number % len(PALETTE)], label=label)
+    end = period * max(len(row.finds) for row in rows)
+    for share in QUARTERS:
+        axes.axvline(share * end, color="#999999", lw=0.8, ls=":")
+    axes.set(xlim=(0, end), ylim=(0, None), xlabel="time [s]", ylabel="points for finds")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=COLUMNS)
+
+
+def draw_ways(axes: Axes, arena: ArenaSpec, way: Sequence[np.ndarray], name: str) -> None:
+    """Draw an arena from above with the ways of a team's robots: from rings to dots."""
+    draw_plan(axes, arena, words=False, starts=False)
+    places = np.stack(way)
+    for robot in range(places.shape[1]):
+        colour = PALETTE[robot % len(PALETTE)]
+        axes.plot(places[:, robot, 0], places[:, robot, 1], color=colour, lw=0.9, zorder=8)
+        axes.plot(*places[0, robot, :2], "o", mfc="none", color=colour, zorder=9)
+        axes.plot(*places[-1, robot, :2], "o", color=colour, zorder=9)
+    axes.set_title(name)
+
+
+def plot_teams(task: str, rows: Sequence[TeamResult], seen: TeamWays, out: Path) -> None:
+    """Draw what teams found over time, and below it the ways of each in world 0.
+
+    Args:
+        task: Its name.
+        rows: One or more teams.
+        seen: Has watched them.
+        out: PNG, PDF, SVG or EPS file.
+
+    Raises:
+        ValueError: It has watched nobody.
+        UsageError: Another suffix.
+        WriteError: The file cannot be written.
+    """
+    if seen.arena is None:
+        raise ValueError("no team has been watched")
+    lines = -(-len(rows) // COLUMNS)
+    (x0, x1), (y0, y1) = seen.arena.extent
+    tall = PLAN_WIDTH * min(2.0, max(0.4, (y1 - y0) / (x1 - x0))) + 0.2
+    with figure_style():
+        figure = Figure(figsize=(PAGE, PANEL_HEIGHT + lines * tall), layout="constrained")
+        grid = figure.add_gridspec(1 + lines, COLUMNS, height_ratios=[PANEL_HEIGHT, *[tall] * lines])
+        draw_finds(figure.add_subplot(grid[0, :]), rows, seen.period)
+        for index, row in enumerate(rows):
+            axes = figure.add_subplot(grid[1 + index // COLUMNS, index % COLUMNS])
+            draw_ways(axes, seen.arena, seen.ways[row.name], row.name)
+        figure.suptitle(f"{task}; paths in {seen.arena.name}", x=0.01, ha="left", fontsize=8)
+        save_figure(figure, out)

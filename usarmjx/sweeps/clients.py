@@ -28,8 +28,8 @@ from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 from usarmjx.sim.world import Stream, episode_key
 from usarmjx.sweeps.batch import CellEpisodes
 from usarmjx.sweeps.drivers import CellDriver
-from usarmjx.sweeps.guard import children, end_with_this_process
 from usarmjx.sweeps.resolve import Resolved
+from usarmjx.sweeps.workers import children, end_with_this_process
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, TaskView
 from usarmjx.train.make import build_env

@@ -6,7 +6,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,8 +15,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.estimates import performance_profile
+from usarmjx.base.estimates import Resampler, performance_profile, profile_intervals
 from usarmjx.plots.style import (
+    COLUMN,
     FEWEST_FOR_LINE,
     MARKS,
     MOST_PANELS,
@@ -40,11 +41,16 @@ from usarmjx.sweeps.design import policy_of
 from usarmjx.sweeps.store import StoredSweep
 from usarmjx.sweeps.table import scores_of
 
+if TYPE_CHECKING:
+    from usarmjx.sweeps.standings import Standings
+
 THRESHOLDS = 101
 MOST_LETTERS, MOST_NUMBERS = 36, 5
 """Largest number of letters, and of numbers, that fit along an axis."""
 Panel = Callable[[Axes], None]
 """Draws a panel."""
+POINTS = 61
+"""Thresholds of a curve."""
 
 
 def plot_sweep(found: StoredSweep, out: Path) -> list[Path]:
@@ -241,3 +247,30 @@ def _front_panel(panel: Axes, found: StoredSweep, task: str) -> None:
     panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
     panel.set_xlabel("share of pairs of robots with a link")
     panel.set_ylabel("score")
+
+
+def plot_profiles(found: "Standings", out: Path, how: Resampler | None = None) -> None:
+    """Draw the performance profile of each method over all tasks, with 95 % bands.
+
+    Raises:
+        UsageError: There are no normalised scores.
+        WriteError: The file cannot be written.
+    """
+    tables = {method: own for method in found.methods if (own := found.tables(method)) is not None}
+    if not tables:
+        raise UsageError("no profiles: the results have no normalised scores")
+    highest = max(float(np.nanmax(one)) for own in tables.values() for one in own)
+    thresholds = np.linspace(0.0, max(highest, 1.0), POINTS)
+    with figure_style():
+        figure, (panel,) = panels_of(1, columns=1, width=COLUMN)
+        for number, (method, own) in enumerate(tables.items()):
+            rows = profile_intervals(own, thresholds.tolist(), how)
+            colour = PALETTE[number % len(PALETTE)]
+            panel.plot(thresholds, [row.value for row in rows], color=colour, label=method)
+            low, high = [row.low for row in rows], [row.high for row in rows]
+            panel.fill_between(thresholds, low, high, color=colour, alpha=0.2, linewidth=0)
+        panel.set_xlabel("normalised score above")
+        panel.set_ylabel("share of runs and settings")
+        panel.set_ylim(0.0, 1.02)
+        panel.legend()
+        save_figure(figure, out)

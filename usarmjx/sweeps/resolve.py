@@ -1,14 +1,15 @@
-"""Resolved settings of a cell: task, arenas of its episodes, ranges, driver; and which of them are data."""
+"""Resolved settings of a cell: task, arenas of its episodes, ranges, driver; settings as they are typed."""
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import yaml
 
-from usarmjx.base.errors import UsageError
-from usarmjx.base.settings import default_reader
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.settings import default_reader, to_data
 from usarmjx.base.type_guards import is_list, is_mapping, is_tuple
 from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.parts import parts_of as robot_parts
@@ -22,7 +23,7 @@ from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import KINDS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sweeps.drivers import CellDriver, find_driver
-from usarmjx.sweeps.spec import FIELDS, ArenaLevel, CellSettings
+from usarmjx.sweeps.spec import FIELDS, NAMES, ArenaLevel, Cell, CellSettings, check_key, part_classes
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import SPLITS, TEST, GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
@@ -351,3 +352,63 @@ def arena_shape(one: LabelledArenas) -> Hashable:
     forms = tuple(dict.fromkeys((shape.surface, shape.material) for shape in template.shapes))
     starts = {len(arena.starts) for arena in arenas}
     return (arenas[0].floor, arenas[0].has_floor, template.extent, counts, forms, min(starts))
+
+
+def typed_settings(texts: Mapping[str, str], tasks: Iterable[str], where: str = "--set") -> dict[str, Any]:
+    """Return settings of all cells by their flat names, each checked by its declaration.
+
+    Args:
+        texts: Texts by name. A name that cells do not have is a field of their tasks.
+        tasks: Names of the tasks.
+        where: Source of the texts, for messages.
+
+    Raises:
+        UnknownNameError: Neither a setting of cells nor a field of every task; lists the known ones.
+        UsageError: A value that is not allowed; names its limits.
+    """
+    found: dict[str, Any] = {}
+    for name, text in texts.items():
+        first, _, part = name.partition(".")
+        if first in NAMES and first != FIELDS:
+            check_key(name, where)
+            found[name] = _part(text, first, part, where) if part else _value(text, Cell, name, where)
+            continue
+        own = part if first == FIELDS else name
+        for task in map(make_task, dict.fromkeys(tasks)):
+            if own.partition(".")[0] not in default_reader().names(type(task)):
+                known = ", ".join(
+                    [*(one for one in NAMES if one != FIELDS), *default_reader().names(type(task))]
+                )
+                raise UnknownNameError(
+                    f"{where}: cells of {type(task).__name__} have no setting {own!r}; they have: {known}"
+                )
+            found[f"{FIELDS}.{own}"] = _value(text, type(task), own, where, task)
+    return found
+
+
+def _part(text: str, name: str, part: str, where: str) -> Any:  # noqa: ANN401 - any data
+    """Return the data of a part. One level stands for a list of it, one number for a range of no width."""
+    kind = part_classes()[name]
+    if (name, part) == ("arena", "level"):
+        return _value(text, ArenaLevel, part, where)
+    if name == "vary" and part != "classes" and "," not in text:
+        return _value(f"[{text}, {text}]", kind, part, where)[0]
+    return _value(text, kind, part, where)
+
+
+def _value(text: str, kind: type, name: str, where: str, base: Task | None = None) -> Any:  # noqa: ANN401 - data
+    """Return the data of a text, as files of sweeps have it.
+
+    The key of a cell's result is a hash of its settings as data. Those that YAML reads as numbers, lists or
+    mappings stay as YAML has them, so that results of earlier versions are found.
+    """
+    reader = default_reader()
+    try:
+        data: Any = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: no such date, or too many digits
+        data = text
+    words = data if is_list(data) else [data]
+    if any(isinstance(word, str) or word is None for word in words):
+        return to_data(reader.text_values(kind, {name: text}, where=where, base=base)[name])
+    reader.values(kind, {name: data}, where=where, base=base)
+    return data

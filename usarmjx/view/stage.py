@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from usarmjx.view.drawing import Drawing, DrawnShape, Frame
-from usarmjx.view.layers.nodes import TEXT_SCALE
+from usarmjx.view.layers.base import TEXT_SCALE
 from usarmjx.view.mesh import PLANE, Finish, glb_of, meshes_of, rectangle
 
 STILL_TOLERANCE = 1e-5

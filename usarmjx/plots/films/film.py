@@ -10,11 +10,10 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
-from usarmjx.plots.films.captions import write_captions
 from usarmjx.plots.films.codecs import SUFFIXES, WRITERS, find_ffmpeg
-from usarmjx.plots.films.overlays import Signs
+from usarmjx.plots.films.overlays import Signs, write_captions
 from usarmjx.plots.films.picture import FilmScene
-from usarmjx.plots.films.views import FilmView
+from usarmjx.plots.films.raster import FilmView
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.source import RecordingSource
 from usarmjx.view.drawing import Drawing, Frame

@@ -13,8 +13,7 @@ from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.models.compile.parts import HOUSING_RGBA, HOUSING_SIZE
 from usarmjx.sensors.base import SENSORS, Sensor
 from usarmjx.view.drawing import Drawing, DrawnMount, Frame
-from usarmjx.view.layers.base import robot_colors
-from usarmjx.view.layers.nodes import InstanceNode, LineNode, NodeLayer
+from usarmjx.view.layers.base import InstanceNode, LineNode, NodeLayer, robot_colors
 
 VIEW_LENGTH = 0.5
 """Distance of a camera's drawn picture frame [m]."""

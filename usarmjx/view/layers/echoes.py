@@ -16,9 +16,8 @@ from usarmjx.sensors.ranging import (
     grid_directions,
 )
 from usarmjx.view.drawing import Drawing, Frame
-from usarmjx.view.layers.base import robot_colors
+from usarmjx.view.layers.base import InstanceNode, LineNode, MeshNode, NodeLayer, PointNode, robot_colors
 from usarmjx.view.layers.bodies import DrawnSensor, ReadingPoses, sensors_of
-from usarmjx.view.layers.nodes import InstanceNode, LineNode, MeshNode, NodeLayer, PointNode
 
 LONGEST_BEAM = 8.0
 """Longest drawn beam without an echo [m]; scanners reach up to a kilometre."""

@@ -12,8 +12,8 @@ from usarmjx.sensors.cameras.shading import (
     SUN_DIRECTION,
 )
 from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.layers.base import LineNode, NodeLayer, PointNode
 from usarmjx.view.layers.bodies import mount_poses
-from usarmjx.view.layers.nodes import LineNode, NodeLayer, PointNode
 
 WHITE_CANDELA = math.pi
 """Intensity of a point light in three.js that makes a white wall a metre away white."""

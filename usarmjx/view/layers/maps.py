@@ -7,9 +7,9 @@ import viser
 
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, Frame
+from usarmjx.view.layers.base import NodeLayer
 from usarmjx.view.layers.bodies import ReadingPoses, sensors_of
 from usarmjx.view.layers.echoes import beam_directions_of
-from usarmjx.view.layers.nodes import NodeLayer
 
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3
 """States of a square, as in `train.mapping.maps`."""

@@ -8,8 +8,7 @@ import viser
 
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.view.drawing import Drawing, Frame
-from usarmjx.view.layers.base import robot_colors
-from usarmjx.view.layers.nodes import (
+from usarmjx.view.layers.base import (
     TAG_TEXT_SCALE,
     TEXT_SCALE,
     UPRIGHT,
@@ -17,6 +16,7 @@ from usarmjx.view.layers.nodes import (
     LineNode,
     NodeLayer,
     PointNode,
+    robot_colors,
 )
 
 CELL = 1.2

@@ -7,8 +7,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.links import MIN_ANTENNA_HEIGHT
 from usarmjx.view.drawing import Drawing, Frame
-from usarmjx.view.layers.base import scale_colors
-from usarmjx.view.layers.nodes import LINK_TEXT_SCALE, LineNode, NodeLayer
+from usarmjx.view.layers.base import LINK_TEXT_SCALE, LineNode, NodeLayer, scale_colors
 
 GAP_SHARE, GAP_SPACING = 0.025, 0.05
 """Length of the gap for a wall, and distance of two gaps' middles, as shares of the link."""
