@@ -20,9 +20,8 @@ from benchmarks.scenes import sizes
 from benchmarks.tools import append_record, record_header, spread_of
 from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.plots.training_plots import Curve, curve_of_run
-from usarmjx.train.learning.config import differences, on_gpu, task_config
+from usarmjx.train.learning.config import RunRecord, differences, load_record, on_gpu, task_config
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.learning.run_record import RunRecord, load_record
 from usarmjx.train.make import make_task
 from usarmjx.train.policies.sources import task_settings
 
@@ -46,7 +45,7 @@ def training_speed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     Returns:
         `mean`: agent steps over seconds, with all that the training waits for. `median`: of the iterations.
-        `waits`: shares of these seconds that the host waited, by reason, see `usarmjx.train.learning.waits`;
+        `waits`: shares of these seconds that the host waited, by reason, see `usarmjx.train.learning.learner`;
         of records without waits, none.
     """
     steps = np.diff([0, *(line["agent_steps"] for line in lines)])

@@ -27,9 +27,8 @@ from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, 
 from usarmjx.sweeps.suite import RunResult, read_result
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part, write_part
-from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.config import SET_FILE, Config, RunRecord, load_record, load_seeds, save_seeds
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.learning.run_record import SET_FILE, RunRecord, load_record, load_seeds, save_seeds
 from usarmjx.train.policies.policy_file import read_arrays
 from usarmjx.train.policies.sources import load_exported
 

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from usarmjx.sweeps.workers import Workers as Workers
     from usarmjx.train.envs.env import Env as Env
     from usarmjx.train.envs.task import Policy as Policy
-    from usarmjx.train.evaluation.episode_table import evaluate as evaluate
+    from usarmjx.train.evaluation.evaluate import evaluate as evaluate
     from usarmjx.train.make import make as make
     from usarmjx.train.policies import POLICIES as POLICIES
     from usarmjx.train.policies.sources import PolicySource as PolicySource
@@ -95,7 +95,7 @@ else:
             "usarmjx.sweeps.workers": ("Workers",),
             "usarmjx.train.envs.env": ("Env",),
             "usarmjx.train.envs.task": ("Policy",),
-            "usarmjx.train.evaluation.episode_table": ("evaluate",),
+            "usarmjx.train.evaluation.evaluate": ("evaluate",),
             "usarmjx.train.make": ("make",),
             "usarmjx.train.policies": ("POLICIES",),
             "usarmjx.train.policies.sources": ("PolicySource", "load_policy"),

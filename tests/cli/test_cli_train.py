@@ -21,8 +21,15 @@ from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import say
 from usarmjx.cli.train import _served
 from usarmjx.cli.train_plan import TrainOptions, check_curriculum, recorded_engine
-from usarmjx.train.learning.config import Config, task_config, training_engine
-from usarmjx.train.learning.run_record import EnvArguments, RunRecord, save_seeds, seed_folder
+from usarmjx.train.learning.config import (
+    Config,
+    EnvArguments,
+    RunRecord,
+    save_seeds,
+    seed_folder,
+    task_config,
+    training_engine,
+)
 from usarmjx.train.learning.trainer import TrainResult
 from usarmjx.train.policies.policy_file import NumpyPolicy
 

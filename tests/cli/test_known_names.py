@@ -17,7 +17,7 @@ from usarmjx.cli.known_names import check_file, check_name, check_policy, check_
 from usarmjx.cli.listing import commands_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.evaluation.yardsticks import GOAL_TEAMS, TEAMS
-from usarmjx.train.policies.untrained import UNTRAINED
+from usarmjx.train.policies.sources import UNTRAINED
 
 ARENA, ROBOT, ENGINE = ("yelow", "'yellow'"), ("P2TA", "'P2AT'"), ("plannar", "'planar'")
 TASK, POLICY = ("exploer", "'explore'"), ("hover-inspekt", "'hover-inspect'")

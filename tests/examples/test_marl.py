@@ -14,8 +14,7 @@ from tests.scripts import EXAMPLES, load
 from usarmjx.base.errors import UsageError
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.policies.own_policy import own_policy
-from usarmjx.train.policies.sources import load_policy
+from usarmjx.train.policies.sources import load_policy, own_policy
 
 FOLDER = EXAMPLES / "marl"
 SHARED, GAMES = load("marl/marl_shared"), load("marl/marl_games")

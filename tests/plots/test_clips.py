@@ -9,8 +9,8 @@ from tensorboardX.proto.event_pb2 import Event
 
 import usarmjx
 from usarmjx.plots.play import Clips, ranked_worlds
-from usarmjx.train.learning.rollout_inputs import RolloutInputs
 from usarmjx.train.learning.tensorboard import TensorBoardLog
+from usarmjx.train.learning.trajectory import RolloutInputs
 
 STEPS = 3
 

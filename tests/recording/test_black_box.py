@@ -15,7 +15,7 @@ from usarmjx.recording.replay import check_recording
 from usarmjx.recording.source import RecordingSource
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import StepResult, Task
-from usarmjx.train.learning.rollout_inputs import RolloutInputs
+from usarmjx.train.learning.trajectory import RolloutInputs
 
 REPEAT, STEPS, BAD_AT = 5, 4, 2
 """Control steps per action, actions per rollout, and action of the second one in which world 1 goes bad."""

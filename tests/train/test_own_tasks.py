@@ -22,9 +22,8 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning import checkpoint
-from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import teacher_of
-from usarmjx.train.learning.run_record import RunRecord, load_record
+from usarmjx.train.learning.config import Config, RunRecord, load_record
+from usarmjx.train.learning.ppo import teacher_of
 from usarmjx.train.make import find_task
 from usarmjx.train.policies.sources import baseline, load_policy
 from usarmjx.train.task_names import full_name

@@ -51,7 +51,7 @@ VERSIONED = ("task", "baseline")
 AUTO = "auto"
 """Name of no engine: the best one for a purpose."""
 AGENTS = ("zero", "random")
-"""Policies without training, see `usarmjx.train.policies.untrained`."""
+"""Policies without training, see `usarmjx.train.policies.sources`."""
 RUN_KINDS = ("client", "run")
 """Kinds of runs before a colon, beside baselines."""
 RUN_WORDS = ("baseline", "packaged", "random", "by-hand", "shipped")

@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
     from usarmjx.train.learning.config import Config
-    from usarmjx.train.learning.rollout_inputs import RolloutInputs
     from usarmjx.train.learning.stopping import StopRequest
+    from usarmjx.train.learning.trajectory import RolloutInputs
 
 
 HOST = "127.0.0.1"
@@ -637,7 +637,7 @@ def export(
             export_recording(run, where, world, speed, pictures)
             return
         from usarmjx.train.policies.export import export_run
-        from usarmjx.train.policies.policy_folder import size_of
+        from usarmjx.train.policies.policy_file import size_of
 
         export_run(run, where, checkpoint, half)
         typer.echo(f"wrote {where}, {size_of(where) / 1024:.0f} KB")

@@ -20,10 +20,9 @@ from usarmjx.cli.task_options import field_texts, fields_over
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.task import Task
-    from usarmjx.train.learning.config import Config
+    from usarmjx.train.learning.config import Config, EnvArguments
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
     from usarmjx.train.learning.iterations import TrainResult
-    from usarmjx.train.learning.run_record import EnvArguments
     from usarmjx.train.learning.stopping import StopRequest
 
 
@@ -104,8 +103,7 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
         UnknownNameError: No such task, engine, setting or field; lists those there are.
         UsageError: A value that is not allowed, or no networks to begin with.
     """
-    from usarmjx.train.learning.config import on_gpu, task_config
-    from usarmjx.train.learning.run_record import EnvArguments
+    from usarmjx.train.learning.config import EnvArguments, on_gpu, task_config
     from usarmjx.train.make import make_task, task_values
 
     known = make_task(task)
@@ -164,7 +162,7 @@ def _config_file(path: Path | None) -> dict[str, Any]:
 
 def _as_before(options: TrainOptions, asked: RunSettings) -> tuple[str, RunSettings]:
     """Return engine and settings as the run was started, unless asked for otherwise."""
-    from usarmjx.train.learning.run_record import RECORD_FILE, load_record
+    from usarmjx.train.learning.config import RECORD_FILE, load_record
 
     if not (options.out / RECORD_FILE).exists():
         return options.engine, asked
@@ -286,7 +284,7 @@ def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) 
     from usarmjx.train.learning.processes import distributed_run
 
     with distributed_run():
-        from usarmjx.train.learning.run_record import load_seeds, seed_folder
+        from usarmjx.train.learning.config import load_seeds, seed_folder
         from usarmjx.train.learning.seed_runs import train_seeds
         from usarmjx.train.make import make
 

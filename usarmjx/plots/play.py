@@ -30,7 +30,7 @@ from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import QUARTERS, TeamResult
-from usarmjx.train.learning.rollout_inputs import RolloutInputs, play_again
+from usarmjx.train.learning.trajectory import RolloutInputs, play_again
 
 WORLD = 0
 """The world that is looked at."""

@@ -27,9 +27,8 @@ from usarmjx.plots.style import (
     panels_of,
     save_figure,
 )
-from usarmjx.train.learning.config import overridden_fields
+from usarmjx.train.learning.config import load_record, overridden_fields
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.task_names import recorded_name
 
 MEAN, BASELINE = "mean of the runs", "baseline"

@@ -24,7 +24,7 @@ from usarmjx.sim.world import World
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import SPARE_ROOM
 from usarmjx.train.envs.state import EnvState
-from usarmjx.train.learning.rollout_inputs import RolloutInputs
+from usarmjx.train.learning.trajectory import RolloutInputs
 
 SECONDS = 2.0
 """Recorded time before the fault [s]."""

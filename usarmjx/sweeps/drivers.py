@@ -15,8 +15,13 @@ from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import random_policy
 from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.own_policy import check_own_policy, own_policy, split_own_policy
-from usarmjx.train.policies.sources import PolicySource, load_policy
+from usarmjx.train.policies.sources import (
+    PolicySource,
+    check_own_policy,
+    load_policy,
+    own_policy,
+    split_own_policy,
+)
 from usarmjx.train.task_names import is_own, newest_name, policy_name
 
 BASELINE, PACKAGED, RANDOM = "baseline", "packaged", "random"

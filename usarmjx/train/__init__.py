@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.task import TaskView as TaskView
     from usarmjx.train.envs.task import drive_all as drive_all
     from usarmjx.train.envs.task import drive_keys as drive_keys
-    from usarmjx.train.evaluation.episode_table import evaluate as evaluate
     from usarmjx.train.evaluation.evaluate import Episodes as Episodes
     from usarmjx.train.evaluation.evaluate import Evaluation as Evaluation
+    from usarmjx.train.evaluation.evaluate import evaluate as evaluate
     from usarmjx.train.evaluation.evaluate import evaluate_episodes as evaluate_episodes
     from usarmjx.train.learning.config import Config as Config
     from usarmjx.train.learning.iterations import TrainResult as TrainResult
@@ -60,8 +60,7 @@ else:
                 "drive_all",
                 "drive_keys",
             ),
-            "usarmjx.train.evaluation.episode_table": ("evaluate",),
-            "usarmjx.train.evaluation.evaluate": ("Episodes", "Evaluation", "evaluate_episodes"),
+            "usarmjx.train.evaluation.evaluate": ("Episodes", "Evaluation", "evaluate", "evaluate_episodes"),
             "usarmjx.train.learning.config": ("Config",),
             "usarmjx.train.learning.seed_runs": ("train_seeds",),
             "usarmjx.train.learning.iterations": ("TrainResult",),

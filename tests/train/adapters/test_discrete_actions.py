@@ -9,7 +9,7 @@ import pytest
 
 from tests.train.toys import LineToy, group
 from usarmjx.base.errors import UsageError
-from usarmjx.train.adapters.action_grid import ActionGrid, action_grids
+from usarmjx.train.adapters.agents import ActionGrid, action_grids
 
 FLOAT = 1e-6  # sums of two numbers of size 1 in single precision
 

@@ -15,8 +15,8 @@ pytest.importorskip("gymnasium", reason="needs the extra rl")
 import gymnasium
 
 from usarmjx.sensors.cameras.paint import ROBOT_LABEL
+from usarmjx.train.adapters.agents import overhead_viewpoint
 from usarmjx.train.adapters.gymnasium import TeamWorld, VectorWorlds
-from usarmjx.train.adapters.pictures import overhead_viewpoint
 
 ID = "usarmjx.train.adapters.gymnasium:usarmjx/drive-to-goal-v1"
 TINY = {"engine": "c", "ranges": (), "pose": "GroundTruth", "arena": "field"}

@@ -19,8 +19,8 @@ from usarmjx.train.evaluation.ablation import (
 )
 from usarmjx.train.evaluation.yardsticks import TeamResult
 from usarmjx.train.mapping.belief import SECTOR_COUNT, initial_belief
-from usarmjx.train.mapping.goals import Goals
 from usarmjx.train.mapping.maps import MapGrid
+from usarmjx.train.mapping.planning import Goals
 from usarmjx.train.tasks.explore import Explore
 from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_features import (

@@ -25,8 +25,7 @@ from usarmjx.train.evaluation.engine_gap import (
     told,
 )
 from usarmjx.train.evaluation.evaluate import Episodes, evaluation_of
-from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.run_record import RunRecord
+from usarmjx.train.learning.config import Config, RunRecord
 from usarmjx.train.make import make
 from usarmjx.train.policies.sources import PolicySource
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from usarmjx.train.envs.state import AgentGroup
-from usarmjx.train.learning.choices import ChoiceDistribution, mask_logits
-from usarmjx.train.learning.imitation import imitation_loss
-from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
+from usarmjx.train.learning.networks import ChoiceDistribution, LearnedPolicy, PolicyParams, mask_logits
+from usarmjx.train.learning.ppo import imitation_loss
 from usarmjx.train.policies.policy_file import forward, group_record
 
 KIND = ChoiceDistribution(4)

@@ -12,9 +12,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.settings.json_file import kept_text
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part, write_part
-from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.config import RECORD_FILE, SET_FILE, Config, RunRecord, load_record, load_seeds
 from usarmjx.train.learning.metrics import read_lines
-from usarmjx.train.learning.run_record import RECORD_FILE, SET_FILE, RunRecord, load_record, load_seeds
 from usarmjx.train.policies.policy_file import read_arrays
 
 LINE = {"iteration": 1, "agent_steps": 1024, "steps_per_s": 86.4, "score": 0.0}

@@ -18,10 +18,9 @@ from usarmjx.cli.app import app
 from usarmjx.cli.train_plan import TrainOptions, plan_run, recorded_engine
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state, read_policy
-from usarmjx.train.learning.config import task_config
+from usarmjx.train.learning.config import load_record, task_config
 from usarmjx.train.learning.fine_tuning import load_trained
 from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
-from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.learning.trainer import train
 
 KEPT = replace(CONFIG, keep_checkpoints=100)

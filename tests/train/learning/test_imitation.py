@@ -14,9 +14,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import imitation_loss
 from usarmjx.train.learning.learner import Trainer
-from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
+from usarmjx.train.learning.ppo import MIN_LEARNING_RATE, imitation_loss
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import policy_params
 

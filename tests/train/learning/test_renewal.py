@@ -13,11 +13,10 @@ from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.models.compile.reachability import footprint_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.envs.recipe import held_out
-from usarmjx.train.learning import arena_stream
-from usarmjx.train.learning.arena_stream import ArenaStream
+from usarmjx.train.learning import learner
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.learner import ArenaStream, Trainer
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.trainer import train
 from usarmjx.train.mapping.maps import reachable_squares
@@ -151,8 +150,8 @@ def test_processes_are_asked_for_two_generations_ahead(env, workers, asked):
     ("cores", "processes", "workers"), [(2, 1, 0), (7, 1, 0), (8, 1, 4), (16, 1, 6), (64, 8, 4)]
 )
 def test_there_are_workers_where_cores_are_left_for_them(monkeypatch, cores, processes, workers):
-    monkeypatch.setattr(arena_stream, "cores", lambda: cores)
-    assert arena_stream.workers_for(processes) == workers
+    monkeypatch.setattr(learner, "cores", lambda: cores)
+    assert learner.workers_for(processes) == workers
 
 
 def test_no_arenas_are_generated_that_no_iteration_would_meet(env, monkeypatch):

@@ -18,11 +18,10 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state, read_policy
+from usarmjx.train.learning.config import load_record, load_seeds
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
-from usarmjx.train.learning.run_record import load_record, load_seeds
-from usarmjx.train.learning.seed_runs import train_seeds
-from usarmjx.train.learning.seed_trainer import SeedTrainer, of_seed, split_worlds
+from usarmjx.train.learning.seed_runs import SeedTrainer, of_seed, split_worlds, train_seeds
 from usarmjx.train.learning.stopping import StopRequest
 from usarmjx.train.learning.trainer import train
 from usarmjx.train.policies.export import export_run

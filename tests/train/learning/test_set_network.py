@@ -12,10 +12,8 @@ from usarmjx.train.envs.layout import ObservationLayout, layout_from_record, lay
 from usarmjx.train.envs.state import AgentGroup
 from usarmjx.train.evaluation.evaluate import evaluate_episodes
 from usarmjx.train.learning.checkpoint import read_policy
-from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-from usarmjx.train.learning.run_record import EnvArguments, make_record
-from usarmjx.train.learning.set_network import shared_scale
+from usarmjx.train.learning.config import Config, EnvArguments, make_record
+from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams, shared_scale
 from usarmjx.train.learning.trainer import train
 from usarmjx.train.policies.policy_file import NumpyPolicy, save_policy
 from usarmjx.train.policies.sources import load_exported

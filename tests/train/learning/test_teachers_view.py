@@ -13,8 +13,8 @@ from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import teacher_obs, teacher_of
 from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.ppo import teacher_obs, teacher_of
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.tasks import TASKS
 

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import pytest
 
 from tests.train.toys import DriveToy, small_config
-from usarmjx.train.learning import waits as waits_module
+from usarmjx.train.learning import learner as learner_module
+from usarmjx.train.learning.learner import Waits
 from usarmjx.train.learning.trainer import train
-from usarmjx.train.learning.waits import Waits
 
 
 def test_seconds_add_up_by_reason_and_are_taken_once(monkeypatch):
     clock = iter([0.0, 1.5, 2.0, 2.25, 3.0, 7.0])
-    monkeypatch.setattr(waits_module, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    monkeypatch.setattr(learner_module, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
     waits = Waits()
     with waits.timed("arenas"):
         pass

@@ -5,10 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.train.mapping.goals import (
+from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
+from usarmjx.train.mapping.planning import (
     BLOCK,
     GAIN_RADIUS,
     WAY_SQUARES,
+    WAYPOINT_SQUARES,
     block_minima,
     box_sum,
     find_goals,
@@ -16,8 +18,6 @@ from usarmjx.train.mapping.goals import (
     way_to,
     where_due,
 )
-from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
-from usarmjx.train.mapping.planning import WAYPOINT_SQUARES
 from usarmjx.train.mapping.wavefront import UNREACHABLE, frontier
 
 CELL = 0.3

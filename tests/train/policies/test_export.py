@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.checkpoint import read_policy
-from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.run_record import EnvArguments, make_record
+from usarmjx.train.learning.config import Config, EnvArguments, make_record
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 from usarmjx.train.policies.export import export_run
 from usarmjx.train.policies.policy_file import NumpyPolicy, save_policy

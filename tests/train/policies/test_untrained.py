@@ -9,7 +9,7 @@ import pytest
 from usarmjx.base import random
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.cli.task_options import PolicyOptions
-from usarmjx.train.policies.untrained import UNTRAINED
+from usarmjx.train.policies.sources import UNTRAINED
 
 ENV = SimpleNamespace(groups=(SimpleNamespace(action_size=2), SimpleNamespace(action_size=3)))
 OBS = jnp.zeros((5, 4, 7)), jnp.zeros((5, 1, 9))

@@ -9,8 +9,8 @@ import pytest
 
 from usarmjx.base.errors import SpecError
 from usarmjx.train.mapping.belief import initial_belief
-from usarmjx.train.mapping.goals import Goals
 from usarmjx.train.mapping.maps import MapGrid
+from usarmjx.train.mapping.planning import Goals
 from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH
 from usarmjx.train.tasks import TASKS
 from usarmjx.train.tasks.explore_base import ExploreBase

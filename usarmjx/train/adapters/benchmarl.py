@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Any
 
 from usarmjx.base.errors import MissingExtraError
-from usarmjx.train.adapters.action_grid import BINS
+from usarmjx.train.adapters.agents import BINS
 
 # Untyped here, as in `torchrl`. No extra of ours: it asks for an older TorchRL than the extra of that name.
 try:

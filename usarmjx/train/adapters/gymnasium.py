@@ -12,15 +12,19 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError, extra
-from usarmjx.train.adapters.action_grid import BINS, Actions, action_grids
 from usarmjx.train.adapters.agents import (
+    BINS,
+    RENDER_MODES,
+    Actions,
+    action_grids,
     check_no_options,
     check_one_group,
+    check_render_mode,
     compiled_step,
     draw_seed,
+    picture_of,
     with_held,
 )
-from usarmjx.train.adapters.pictures import RENDER_MODES, check_render_mode, picture_of
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.tasks import TASKS
 

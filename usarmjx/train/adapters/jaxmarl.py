@@ -7,8 +7,16 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.base.errors import UsageError, extra
-from usarmjx.train.adapters.action_grid import BINS, Actions, action_grids
-from usarmjx.train.adapters.agents import MAX_SEED, agents_of, by_agent, check_one_world, stack_actions
+from usarmjx.train.adapters.agents import (
+    BINS,
+    MAX_SEED,
+    Actions,
+    action_grids,
+    agents_of,
+    by_agent,
+    check_one_world,
+    stack_actions,
+)
 
 with extra("rl"):
     from jaxmarl.environments.multi_agent_env import MultiAgentEnv

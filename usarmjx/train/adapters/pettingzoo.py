@@ -6,17 +6,21 @@ import jax
 import numpy as np
 
 from usarmjx.base.errors import UsageError, extra
-from usarmjx.train.adapters.action_grid import BINS, Actions, action_grids
 from usarmjx.train.adapters.agents import (
+    BINS,
+    RENDER_MODES,
+    Actions,
+    action_grids,
     agents_of,
     alive_names,
     by_agent,
     check_one_world,
+    check_render_mode,
     compiled_step,
     draw_seed,
+    picture_of,
     stack_actions,
 )
-from usarmjx.train.adapters.pictures import RENDER_MODES, check_render_mode, picture_of
 
 with extra("rl"):
     from gymnasium import spaces

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usarmjx.base.errors import extra
-from usarmjx.train.adapters.action_grid import BINS, Actions
+from usarmjx.train.adapters.agents import BINS, Actions
 from usarmjx.train.adapters.gymnasium import Robots, VectorWorlds
 
 with extra("sb3"):

@@ -8,8 +8,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError, extra
-from usarmjx.train.adapters.action_grid import BINS, Actions, action_grids
-from usarmjx.train.adapters.pictures import picture_of
+from usarmjx.train.adapters.agents import BINS, Actions, action_grids, picture_of
 
 # Untyped here: the extra is large, and checks of types run without it.
 with extra("torchrl"):

@@ -7,7 +7,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
-from usarmjx.train.mapping.way_driving import frontier_action
+from usarmjx.train.mapping.planning import frontier_action
 
 
 def frontier_policy(env: Env) -> Policy:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
-from usarmjx.train.mapping.way_driving import frontier_action
+from usarmjx.train.mapping.planning import frontier_action
 from usarmjx.train.tasks.goal_features import GOALS, chosen_goal
 from usarmjx.train.tasks.goal_team import GoalTeam
 

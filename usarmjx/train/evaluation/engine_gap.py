@@ -22,7 +22,7 @@ from usarmjx.sim.scene import build_scene
 from usarmjx.train.envs.recipe import open_floor
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.evaluation.evaluate import Evaluation, evaluate_episodes, pooled_score
-from usarmjx.train.learning.run_record import load_record
+from usarmjx.train.learning.config import load_record
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, baseline, load_policy
 from usarmjx.train.task_names import newest_name

@@ -24,9 +24,9 @@ from usarmjx.base.errors import SpecError, UsageError, WriteError
 from usarmjx.base.files import PARTIAL_MARK, writing
 from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.base.settings.json_file import kept_text, read_kept
+from usarmjx.train.learning.config import RunRecord, load_record
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.processes import ProcessGroup, Tree
-from usarmjx.train.learning.run_record import RunRecord, load_record
 from usarmjx.train.learning.train_state import (
     Networks,
     TrainState,

@@ -11,9 +11,8 @@ from typing import Any
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state
-from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.config import Config, RunRecord
 from usarmjx.train.learning.ppo import initial_adaptive_rate
-from usarmjx.train.learning.run_record import RunRecord
 from usarmjx.train.learning.train_state import Networks, TrainState
 
 SHAPE_SETTINGS = (

@@ -1,28 +1,36 @@
-"""A run in this process, together with the others: rollout and update in turn."""
+"""A run in this process, together with the others: rollout and update in turn, on a stream of arenas.
 
-from collections.abc import Callable
+48 large buildings are two to three seconds of work for a processor, and a GPU may need others every second:
+where there are cores for it, processes beside this one make them.
+"""
+
+import time
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
+from weakref import finalize
 
 import jax
 from jax.sharding import PartitionSpec
 
 from usarmjx.base import random
 from usarmjx.base.errors import UsageError
+from usarmjx.base.process import cores
 from usarmjx.base.program_cache import PrecompiledProgram, ProgramCache, compile_program
+from usarmjx.base.worker_processes import WorkerProcesses, use_workers
+from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import held_out
 from usarmjx.train.envs.task import Carry, Policy
 from usarmjx.train.evaluation.evaluate import play_episodes
-from usarmjx.train.learning.arena_stream import ArenaStream, workers_for
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import teacher_of
-from usarmjx.train.learning.ppo import update
+from usarmjx.train.learning.ppo import teacher_of, update
 from usarmjx.train.learning.processes import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.learning.rollout import Rollout
-from usarmjx.train.learning.rollout_inputs import Inspector, inputs_of
 from usarmjx.train.learning.train_state import (
     ROLLOUT_STREAM,
     UPDATE_STREAM,
@@ -31,13 +39,96 @@ from usarmjx.train.learning.train_state import (
     policy_params,
     train_state_maker,
 )
-from usarmjx.train.learning.trajectory import RolloutState
-from usarmjx.train.learning.waits import Waits
+from usarmjx.train.learning.trajectory import Inspector, RolloutState, inputs_of
+from usarmjx.train.tasks.buildings import Buildings
 
+Reason: TypeAlias = Literal["arenas", "device", "checkpoint", "log"]
+"""New arenas and their transfer; results of the device; checkpoints and scores; metrics and watchers."""
+MAX_WORKERS, CORES_PER_WORKER, MIN_CORES = 6, 2, 8
+"""Processes that generate arenas, at most, for how many cores there is one, and from how many on."""
+GENERATIONS_AHEAD = 2
+"""Generations that are requested before they are due: one may take longer than its interval."""
 SCORING_SEED = 2**31 - 1
 """Seed of the episodes in which policies are compared under a curriculum."""
 EnvFactory = Callable[[int, int], Env]
 """From a number of worlds, and the number of the first of them, to an environment."""
+
+
+class Waits:
+    """Sums of the seconds that the host has waited, by reason."""
+
+    def __init__(self) -> None:
+        self._seconds = dict.fromkeys(get_args(Reason), 0.0)
+
+    @contextmanager
+    def timed(self, reason: Reason) -> Generator[None]:
+        """Add the duration of a block."""
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._seconds[reason] += time.perf_counter() - began
+
+    def take(self) -> dict[str, float]:
+        """Return the sums since the last call [s]."""
+        taken, self._seconds = self._seconds, dict.fromkeys(self._seconds, 0.0)
+        return {reason: round(seconds, 6) for reason, seconds in taken.items()}
+
+
+class ArenaStream:
+    """The arenas of each iteration. The next ones are generated beside the training.
+
+    Which they are depends on the iteration alone, so that a run that is resumed meets the same ones.
+
+    Args:
+        env: The environment; arenas that are not renewable stay.
+        interval: Iterations between two replacements; 0: the arenas stay.
+        iterations: Iterations of the run: no arenas are generated for later ones.
+        workers: Processes that generate them; 0: a thread of this one does.
+    """
+
+    def __init__(self, env: Env, interval: int, iterations: int, workers: int = 0) -> None:
+        self._env = env
+        self.interval = (
+            interval if getattr(env, "renewable", False) else 0
+        )  # environments of one's own need it not
+        self._last = (iterations - 1) // self.interval if self.interval else 0
+        self._requests: dict[int, Future[ArenaState]] = {}
+        self._workers = WorkerProcesses(workers, [Buildings.__module__]) if workers and self._last else None
+        self._pool = ThreadPoolExecutor(1, "arenas")
+        finalize(self, self._pool.shutdown, wait=False, cancel_futures=True)
+
+    def is_refresh(self, iteration: int) -> bool:
+        """Return whether arenas are replaced before an iteration, counted from 0."""
+        return bool(self.interval) and iteration > 0 and iteration % self.interval == 0
+
+    def arenas(self, iteration: int) -> ArenaState | None:
+        """Return the arenas of an iteration (arenas, ...); None: those of the beginning."""
+        if not self.interval:
+            return None
+        generation = iteration // self.interval
+        self._requests = {number: made for number, made in self._requests.items() if number >= generation}
+        present = self._request(generation) if generation else None
+        ahead = GENERATIONS_AHEAD if self._workers else 1
+        for later in range(generation + 1, min(generation + ahead, self._last) + 1):
+            self._request(later)
+        return present.result() if present else None
+
+    def _request(self, generation: int) -> "Future[ArenaState]":
+        if generation not in self._requests:
+            self._requests[generation] = self._pool.submit(_generated, self._env, generation, self._workers)
+        return self._requests[generation]
+
+
+def _generated(env: Env, generation: int, workers: WorkerProcesses | None) -> ArenaState:
+    with use_workers(workers):
+        return env.redrawn_arenas(generation)
+
+
+def workers_for(processes: int) -> int:
+    """Return the number of processes that generate arenas for each of some trainers on this host."""
+    mine = cores() // processes
+    return min(MAX_WORKERS, mine // CORES_PER_WORKER) if mine >= MIN_CORES else 0
 
 
 class Trainer:

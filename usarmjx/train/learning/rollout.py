@@ -14,8 +14,8 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState, Memory
 from usarmjx.train.envs.task import Carry, Policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import reset_carry, teacher_obs
 from usarmjx.train.learning.networks import fold_each, sample_actions
+from usarmjx.train.learning.ppo import reset_carry, teacher_obs
 from usarmjx.train.learning.train_state import (
     STAGGER_STREAM,
     Networks,

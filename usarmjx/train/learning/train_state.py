@@ -20,10 +20,10 @@ from usarmjx.train.learning.networks import (
     Network,
     Params,
     PolicyParams,
+    SetNetwork,
     apply_network,
     init_network,
 )
-from usarmjx.train.learning.set_network import SetNetwork
 from usarmjx.train.learning.statistics import Statistics, init_statistics, normalise
 
 with extra("train"):

@@ -17,24 +17,23 @@ from usarmjx.base.files import PARTIAL_MARK, writing
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
 from usarmjx.train.learning.checkpoint import SET, Checkpoints, read_part
-from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
-from usarmjx.train.learning.iterations import Records, RunOutputs, TrainResult, run_iterations
-from usarmjx.train.learning.learner import EnvFactory, Trainer
-from usarmjx.train.learning.metrics import MetricsLog
-from usarmjx.train.learning.processes import ProcessGroup, run_lock
-from usarmjx.train.learning.rollout_inputs import Inspector
-from usarmjx.train.learning.run_record import (
+from usarmjx.train.learning.config import (
     DEFAULT_ENV_ARGUMENTS,
     RECORD_FILE,
+    Config,
     EnvArguments,
     RunRecord,
     load_record,
     make_record,
 )
+from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
+from usarmjx.train.learning.iterations import Records, RunOutputs, TrainResult, run_iterations
+from usarmjx.train.learning.learner import EnvFactory, Trainer
+from usarmjx.train.learning.metrics import MetricsLog
+from usarmjx.train.learning.processes import ProcessGroup, run_lock
 from usarmjx.train.learning.stopping import StopRequest
 from usarmjx.train.learning.train_state import TrainState
-from usarmjx.train.learning.trajectory import RolloutState
+from usarmjx.train.learning.trajectory import Inspector, RolloutState
 
 if TYPE_CHECKING:
     from usarmjx.train.learning.learner import Trainer

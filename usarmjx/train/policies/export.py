@@ -9,8 +9,16 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.registry import unknown_name
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.policy_file import NumpyPolicy, read_arrays, save_policy, write_arrays
-from usarmjx.train.policies.policy_folder import SUFFIX, WEIGHTS, check_place, write_folder
+from usarmjx.train.policies.policy_file import (
+    SUFFIX,
+    WEIGHTS,
+    NumpyPolicy,
+    check_place,
+    read_arrays,
+    save_policy,
+    write_arrays,
+    write_folder,
+)
 from usarmjx.train.task_names import newest_name
 
 

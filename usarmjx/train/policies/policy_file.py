@@ -1,8 +1,11 @@
-"""A policy as one small file, and its inference in plain NumPy: what a robot's client needs, and no more.
+"""A policy as a small file or a folder with a card, and its inference in plain NumPy for a robot's client.
 
 The file is NumPy's `.npz`: `about` is JSON (format, task, period, groups, layers), the other arrays are
 `mean/0`, `std/0` and the weights of group 0 (`weights/0/layer_0/kernel`), and so on, in single precision or
 the weights in half. This module imports neither JAX nor anything that needs it.
+
+`README.md` is the card: YAML that hubs index, then text. `config.json` has the facts of `policy_file` for
+other programs, `policy.npz` is the policy's file with the same facts, which alone is read back.
 """
 
 import json
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from usarmjx.base.errors import UsageError, quoted
+from usarmjx.base.errors import UsageError, WriteError, quoted
 from usarmjx.base.files import atomic_write
 from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.base.settings.json_file import parse_json
@@ -24,8 +27,8 @@ from usarmjx.train.task_names import recorded_name
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.state import AgentGroup
+    from usarmjx.train.learning.config import RunRecord
     from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-    from usarmjx.train.learning.run_record import RunRecord
 
 
 FORMAT = 1
@@ -36,6 +39,9 @@ USUAL_BYTES, MOST_RATIO = 8_000_000, 100
 MOST_ARRAYS = 1000
 ABOUT = "about"
 """Name of the array with the facts, a text of JSON."""
+SUFFIX = ".policy"
+"""Suffix of a folder to write; one that is read may have any name."""
+CARD, CONFIG, WEIGHTS = "README.md", "config.json", "policy.npz"
 
 
 def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
@@ -170,7 +176,6 @@ def _layer_shapes(
 MAX_NORMALISED = 10.0  # as in `statistics`
 MIN_STD = 0.01  # as in `networks`
 INVALID = -1e9  # as in `choices`
-
 Vector = np.ndarray
 ParamTree = Mapping[str, Any]
 
@@ -390,3 +395,86 @@ def write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) -> 
     }
     with atomic_write(Path(file)) as fresh, fresh.open("wb") as out:
         np.savez_compressed(out, **cast(Any, kept))
+
+
+def weights_in(folder: Path) -> Path | None:
+    """Return the file of the policy that a folder holds; None: it is no such folder."""
+    file = folder / WEIGHTS
+    return file if file.is_file() else None
+
+
+def check_place(folder: Path) -> None:
+    """Refuse a place for a policy's folder that is a file.
+
+    Raises:
+        UsageError: It is one.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file; a policy's folder goes elsewhere")
+
+
+def write_folder(file: Path, folder: Path) -> None:
+    """Write a policy's file as a folder.
+
+    Args:
+        file: The policy.
+        folder: To write; files of these names in it are replaced.
+
+    Raises:
+        UsageError: The place is a file, or the policy is broken.
+        WriteError: The folder or a file in it cannot be written.
+    """
+    check_place(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"cannot write {folder}: {error.strerror}") from error
+    about, arrays = read_arrays(file)
+    with atomic_write(folder / WEIGHTS) as fresh:
+        fresh.write_bytes(file.read_bytes())
+    _write(folder / CONFIG, json.dumps({"library": "usarmjx", **about}, indent=2) + "\n")
+    _write(folder / CARD, card_of(NumpyPolicy(file), arrays))
+
+
+def card_of(policy: NumpyPolicy, arrays: dict[str, np.ndarray]) -> str:
+    """Return the card of a policy as Markdown with YAML in front."""
+    count = sum(array.size for name, array in arrays.items() if name.startswith("weights/"))
+    groups = [
+        f"| {group['name']} | {group['obs_size']} | {group['action_size']} |" for group in policy.groups
+    ]
+    settings = [f"- `{name}={value}`" for name, value in policy.overrides.items()]
+    lines = [
+        "---",
+        "library_name: usarmjx",
+        "pipeline_tag: reinforcement-learning",
+        f"tags: [reinforcement-learning, robotics, usarmjx, {json.dumps(policy.task)}]",
+        "---",
+        "",
+        f"# Policy for {policy.task}",
+        "",
+        f"A policy of usarmjx for the task `{policy.task}`: {policy.layers} hidden layers, memory of"
+        f" {policy.memory} units, {count:,} weights, an action each {policy.period:g} s.",
+        "",
+        "| robot | numbers in observation | in action |",
+        "|---|---|---|",
+        *groups,
+        "",
+        *(["Settings of the task in training:", "", *settings, ""] if settings else []),
+        "```console",
+        "$ usarmjx eval FOLDER",
+        "$ usarmjx play FOLDER --out policy.gif",
+        "```",
+        "",
+        f"`usarmjx.train.NumpyPolicy('{WEIGHTS}')` runs it with NumPy alone.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _write(file: Path, text: str) -> None:
+    with atomic_write(file) as fresh:
+        fresh.write_text(text, encoding="utf-8")
+
+
+def size_of(path: Path) -> int:
+    """Return the bytes of a file, or of the files in a folder."""
+    return sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path]))

@@ -1,8 +1,17 @@
-"""Policies from any source: the folder of a run, an exported file, the package, or a baseline."""
+"""Policies from any source: a run's folder, an exported file, the package, a baseline, a user's function.
 
-from collections.abc import Iterable, Mapping, Sequence
+The function takes an environment and returns a `Policy`; with an argument, as the folder of a run, it takes
+that text too. The folder of the file is searched for modules that it imports.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import jax
@@ -18,14 +27,119 @@ from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Poli
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import check_named, find_baseline, make, make_task, task_values
 from usarmjx.train.policies import POLICIES, no_policy
-from usarmjx.train.policies.own_policy import check_own_policy, is_own_policy, own_policy
-from usarmjx.train.policies.policy_file import NumpyPolicy
-from usarmjx.train.policies.policy_folder import weights_in
-from usarmjx.train.policies.untrained import UNTRAINED, check_untrained
+from usarmjx.train.policies.policy_file import NumpyPolicy, weights_in
 from usarmjx.train.task_names import newest_name, same_class
 
 EPISODES, WORLDS = 100, 20
 """Default numbers of episodes and of worlds at once in an evaluation."""
+
+
+def is_own_policy(what: str) -> bool:
+    """Return whether a name is that of a function in a file."""
+    return ".py:" in what
+
+
+def split_own_policy(what: str) -> tuple[str, str, str]:
+    """Return file or module, name of the function, and argument; the last is empty without one."""
+    name, _, argument = what.partition("@")
+    place, _, function = name.rpartition(":")
+    return place, function, argument
+
+
+def own_policy(what: str, env: Env) -> Policy:
+    """Return the policy that a user's function makes for an environment.
+
+    Raises:
+        UsageError: There is no such function, or it returns something else.
+    """
+    function, (_, _, argument) = _function(what), split_own_policy(what)
+    made = function(env, argument) if argument else function(env)
+    if not isinstance(made, Policy):
+        raise UsageError(f"policy {what} returned {type(made).__name__}, expected usarmjx's Policy")
+    return made
+
+
+def check_own_policy(what: str) -> None:
+    """Import the function that a name stands for.
+
+    Raises:
+        UsageError: There is none.
+    """
+    _function(what)
+
+
+def _function(what: str) -> Callable[..., object]:
+    place, name, _ = split_own_policy(what)
+    try:
+        module = _module(place)
+    except Exception as error:
+        raise UsageError(f"policy {what}: cannot be imported: {error}") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise UsageError(f"policy {what}: {place} has no function {name!r}")
+    return function
+
+
+def _module(place: str) -> ModuleType:
+    if not place.endswith(".py"):
+        return importlib.import_module(place)
+    known = f"usarmjx_policy_{hashlib.sha256(Path(place).read_bytes()).hexdigest()[:16]}"
+    if known not in sys.modules:
+        folder = str(Path(place).resolve().parent)
+        if folder not in sys.path:
+            sys.path.append(folder)  # last, so that it hides no module
+        spec = importlib.util.spec_from_file_location(known, place)
+        assert spec is not None  # as the name ends in .py
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[known] = module  # dataclasses look their module up
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[known]
+            raise
+    return sys.modules[known]
+
+
+def zero_policy(env: Env) -> Policy:
+    """Return the policy of actions that are all 0."""
+
+    def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+        del key
+        sizes = [group.action_size for group in env.groups]
+        return carry, tuple(jnp.zeros((*o.shape[:2], n)) for o, n in zip(obs, sizes, strict=True))
+
+    return Policy(initial_carry=_no_memory, act=act)
+
+
+def random_policy(env: Env) -> Policy:
+    """Return the policy of actions that are uniform from -1 to 1, new at each step."""
+
+    def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+        groups = zip(obs, env.groups, jax.random.split(key, len(obs)), strict=True)
+        return carry, tuple(
+            jax.random.uniform(k, (*o.shape[:2], group.action_size), minval=-1.0) for o, group, k in groups
+        )
+
+    return Policy(initial_carry=_no_memory, act=act)
+
+
+def _no_memory(worlds: int) -> Carry:
+    return jnp.zeros((worlds, 1))
+
+
+UNTRAINED: Mapping[str, Callable[[Env], Policy]] = {"zero": zero_policy, "random": random_policy}
+"""Untrained policies by name."""
+
+
+def check_untrained(name: str) -> None:
+    """Refuse other names.
+
+    Raises:
+        UnknownNameError: Lists the names.
+    """
+    if name not in UNTRAINED:
+        raise UnknownNameError(f"no agent {name!r}; known: {', '.join(UNTRAINED)}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,8 +28,8 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.train.mapping.belief import SCANNER_RANGE, SECTOR_COUNT, Belief
-from usarmjx.train.mapping.goals import Goals
 from usarmjx.train.mapping.maps import MapGrid, to_robot_frame
+from usarmjx.train.mapping.planning import Goals
 
 MATES, FRONTIERS, OBSERVED_MATES = 2, 16, 4
 """Other robots and frontiers among the goals, and other robots that are observed."""

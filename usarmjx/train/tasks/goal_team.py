@@ -19,12 +19,19 @@ from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
 from usarmjx.train.envs.presence import Presence
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, update_base_contact
-from usarmjx.train.mapping.goals import WAY_SQUARES, Goals, find_goals, next_on_way, way_to, where_due
 from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, to_robot_frame
-from usarmjx.train.mapping.planning import near_others
+from usarmjx.train.mapping.planning import (
+    WAY_SQUARES,
+    Goals,
+    find_goals,
+    frontier_action,
+    near_others,
+    next_on_way,
+    way_to,
+    where_due,
+)
 from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH, map_pyramid
 from usarmjx.train.mapping.wavefront import frontier
-from usarmjx.train.mapping.way_driving import frontier_action
 from usarmjx.train.tasks.attrition import drawn_team, remaining_robots
 from usarmjx.train.tasks.equip import base_station, mapping_robot
 from usarmjx.train.tasks.goal_features import (

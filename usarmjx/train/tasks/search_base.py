@@ -12,8 +12,8 @@ from usarmjx.base.settings import POSITIVE
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.belief import Belief
-from usarmjx.train.mapping.goals import box_sum
 from usarmjx.train.mapping.maps import FREE, MARK, MapGrid, classify_scan
+from usarmjx.train.mapping.planning import box_sum
 from usarmjx.train.tasks.equip import VICTIM_FOV, victim_search_robot
 from usarmjx.train.tasks.goal_team import GoalState, KnownMaps, Progress
 from usarmjx.train.tasks.reporting_team import ReportingTeam
