@@ -45,8 +45,8 @@ def training_speed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     Returns:
         `mean`: agent steps over seconds, with all that the training waits for. `median`: of the iterations.
-        `waits`: shares of these seconds that the host waited, by reason, see `usarmjx.train.learning.learner`;
-        of records without waits, none.
+        `waits`: shares of these seconds that the host waited, by reason, see `train.learning.learner`; of
+        records without waits, none.
     """
     steps = np.diff([0, *(line["agent_steps"] for line in lines)])
     rates = np.array([line["steps_per_s"] for line in lines])

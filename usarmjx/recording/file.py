@@ -4,8 +4,8 @@ Data for a replay is always written. Frames, which only show a world, are left o
 behind, and the shapes for Foxglove are written in pieces when nothing else waits. So a process that is killed
 loses about a second.
 
-mcap's Writer keeps an entry for each chunk, with a number for each of its channels: 15 MB an hour at
-two chunks a second. All of it also lies in the file.
+The index of the chunks is read from the file at its end. mcap's Writer keeps an entry for each chunk, with a
+number for each of its channels: 15 MB an hour at two chunks a second.
 """
 
 import json

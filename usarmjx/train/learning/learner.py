@@ -1,7 +1,8 @@
 """A run in this process, together with the others: rollout and update in turn, on a stream of arenas.
 
-48 large buildings are two to three seconds of work for a processor, and a GPU may need others every second:
-where there are cores for it, processes beside this one make them.
+Generated arenas are a stream: new ones replace those of earlier iterations. 48 large buildings are two to
+three seconds of work for a processor, and a GPU may need others every second: where there are cores for it,
+processes beside this one make them.
 """
 
 import time

@@ -1,7 +1,7 @@
 """Policies and critics: one of each for every group of robots, shared by the robots of the group.
 
-A policy's choice does not depend on the order of choices of a kind or on that of other robots, and it has the
-same weights for any number of them.
+A robot that chooses has a network over the set of its choices: the choice does not depend on the order of
+choices of a kind or of other robots, and the weights are the same for any number of them.
 """
 
 import math

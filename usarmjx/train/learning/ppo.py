@@ -5,8 +5,8 @@ a process. Sums over worlds, gradients among them, cross; so all processes learn
 shuffled within blocks (`Config.blocks`) that belong to one process: each minibatch is the same set of
 worlds however many processes there are, and only the order of summation differs.
 
-The policy acts and the teacher labels the states (DAgger; Ross, Gordon and Bagnell 2011), so that
-the states are those that the policy gets into. Meanwhile the critic learns what the policy's own actions
+In imitation the policy acts and the teacher labels the states (DAgger; Ross, Gordon and Bagnell 2011), so
+that the states are those that the policy gets into. Meanwhile the critic learns what the policy's own actions
 bring. A task may hide from the policy inputs of its baseline; the teacher sees them all the same.
 """
 

@@ -1,8 +1,7 @@
 """Targets of robots on their own maps: frontiers, their base, other robots; ways to them, and driving along.
 
-Pure functions; leading axes are over the robots of one world, by roster slot.
-
-Pure functions of one robot. Distances are computed when a choice is due, not with every step.
+Pure functions. Leading axes of a team's are over the robots of one world, by roster slot. Distances to a
+robot's goals are computed when a choice is due, not with every step.
 """
 
 from collections.abc import Callable

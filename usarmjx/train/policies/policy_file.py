@@ -4,8 +4,8 @@ The file is NumPy's `.npz`: `about` is JSON (format, task, period, groups, layer
 `mean/0`, `std/0` and the weights of group 0 (`weights/0/layer_0/kernel`), and so on, in single precision or
 the weights in half. This module imports neither JAX nor anything that needs it.
 
-`README.md` is the card: YAML that hubs index, then text. `config.json` has the facts of `policy_file` for
-other programs, `policy.npz` is the policy's file with the same facts, which alone is read back.
+In a folder, as model hubs keep policies, `README.md` is the card: YAML that hubs index, then text.
+`config.json` has the facts of the file for other programs. `policy.npz` is the file; it alone is read back.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Policies from any source: a run's folder, an exported file, the package, a baseline, a user's function.
 
-The function takes an environment and returns a `Policy`; with an argument, as the folder of a run, it takes
-that text too. The folder of the file is searched for modules that it imports.
+A user's function takes an environment and returns a `Policy`; with an argument, as the folder of a run, it
+takes that text too. The folder of the file is searched for modules that it imports.
 """
 
 import hashlib
