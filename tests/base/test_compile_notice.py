@@ -15,7 +15,7 @@ PATIENCE = 30.0  # s
 EVENT = f"{COMPILE_EVENT_PREFIX}jaxpr_trace_duration"
 SCRIPT = """
 import usarmjx
-from usarmjx.base import compile_notice
+from usarmjx.base import compilation
 compilation.AFTER = 0.0  # however fast the machine is
 batch = usarmjx.Batch("yellow", worlds=2, engine="c")
 state = batch.reset()

@@ -2,8 +2,8 @@
 
 A command's file holds its options and little else; heavy imports stand inside the functions, so that `--help`
 answers at once. Options of several commands are fields of dataclasses in `serving_options`, `viewer_options`
-and `policy_options`, single ones are in `common`. `tables` prints docs/all-robots.md and the like,
-`completion` has the names that shells complete. A program that registers sensors or robots of its own runs
+and `task_options`, single ones are in `common`. `tables` prints docs/all-robots.md and the like,
+`known_names` has the names that shells complete. A program that registers sensors or robots of its own runs
 the commands with them by `main`. Begin with `serve`.
 """
 

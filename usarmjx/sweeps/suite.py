@@ -1,7 +1,7 @@
 """A suite: tasks and settings in which methods are compared on fixed buildings; results files.
 
 A suite's file is that of a sweep without policies. A method is one or more runs; each run plays all cells of
-the suite, and its scores make one results file (`results`). `validation` is the split to choose by, `test`
+the suite, and its scores make one results file. `validation` is the split to choose by, `test`
 the one to report.
 """
 

@@ -2,7 +2,7 @@
 
 A `Drawing` is what never changes, a `Frame` one moment, a `FrameSource` gives both, `ViewerPage` shows them;
 `Capture` makes them of a world on any engine. `LAYERS` are switched on and off over a world. Private: `stage`
-and `mesh` draw bodies, `layers` all over them, `viewpoint` follows robots, `robot_panel` and `user_panels`
+and `mesh` draw bodies, `layers` all over them, `viewpoint` follows robots, `robot_controls` and `user_panels`
 are controls. A new layer is a subclass of `Layer` in `layers`. Begin with `drawing`, then `page`.
 """
 

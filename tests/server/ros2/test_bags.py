@@ -16,8 +16,7 @@ from usarmjx.base.transforms import flip_vector
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.reader import Recording
-from usarmjx.server.ros2.bag_file import message_definition
-from usarmjx.server.ros2.bags import write_bag
+from usarmjx.server.ros2.bags import message_definition, write_bag
 from usarmjx.server.rosbridge.robot_description import urdf
 
 

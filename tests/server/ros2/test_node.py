@@ -16,8 +16,8 @@ from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.ros2.server import Ros2Server, Ros2Settings
 from usarmjx.server.ros2.worker import MOST_JOBS, TransportWorker
 from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.serialization import CdrReader, MessageBytes
-from usarmjx.server.rosbridge.trajectories import TrajectoryRun, read_trajectory
+from usarmjx.server.rosbridge.encodings import CdrReader, MessageBytes
+from usarmjx.server.rosbridge.motion import TrajectoryRun, read_trajectory
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 BYTES = MessageBytes(RosVersion.ROS2)

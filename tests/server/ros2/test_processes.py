@@ -14,7 +14,7 @@ from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.ros2.server import Ros2Server, Ros2Settings
-from usarmjx.server.ros2.type_hash import message_hash, service_hash
+from usarmjx.server.ros2.transport import message_hash, service_hash
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 HERE = Path(__file__).parent

@@ -5,10 +5,9 @@ import pytest
 
 from tests.server.ros2.typestores import foreign, full_name, sample, typestore
 from usarmjx.base.errors import PeerError
-from usarmjx.server.ros2.type_hash import message_hash, service_hash
-from usarmjx.server.rosbridge.definitions import ALSO_TAKEN, SHARED, RosVersion
-from usarmjx.server.rosbridge.interfaces import INTERFACES
-from usarmjx.server.rosbridge.serialization import CdrReader, MessageBytes
+from usarmjx.server.ros2.transport import message_hash, service_hash
+from usarmjx.server.rosbridge.definitions import ALSO_TAKEN, INTERFACES, SHARED, RosVersion
+from usarmjx.server.rosbridge.encodings import CdrReader, MessageBytes
 
 ONLY_ONE_VERSION = ("std_msgs/Header", "sensor_msgs/Range", "sensor_msgs/CameraInfo")
 KINDS = [kind for kind in (*SHARED, *ONLY_ONE_VERSION) if not kind.startswith("tf2_web_republisher")]

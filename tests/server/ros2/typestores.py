@@ -3,9 +3,8 @@
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.interfaces import INTERFACES
-from usarmjx.server.rosbridge.serialization import FORMATS, split_kind
+from usarmjx.server.rosbridge.definitions import INTERFACES, RosVersion
+from usarmjx.server.rosbridge.encodings import FORMATS, split_kind
 
 SPAN = {"int8": 100, "int16": 9_000, "int32": 10**9, "int64": 10**18}
 

@@ -10,8 +10,8 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount
 from usarmjx.server.rosbridge.definitions import RosVersion
+from usarmjx.server.rosbridge.motion import estimate_of, odometry_sensor
 from usarmjx.server.rosbridge.topics import WorldTopics
-from usarmjx.server.rosbridge.wheel_odometry import estimate_of, odometry_sensor
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 

@@ -34,7 +34,7 @@ GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 """Golden angle [rad], which spreads points evenly over a disc."""
 
 TexturesByColour = Mapping[Rgba, str]
-"""Names of textures (`types.textures`) by colour."""
+"""Names of textures (`types.shapes`) by colour."""
 
 BARE: TexturesByColour = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
 """Textures of plywood, stone, concrete and bricks."""

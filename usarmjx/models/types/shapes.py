@@ -208,7 +208,7 @@ class Shape:
         mesh: The solid of kind mesh.
         heights: The terrain of kind hfield.
         rgba: Colour, for pictures.
-        texture: Texture in pictures, for the arena's fixed solids; see `types.textures`.
+        texture: Texture in pictures, for the arena's fixed solids; see `TEXTURES`.
     """
 
     kind: Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh", "hfield"]

@@ -17,8 +17,7 @@ from usarmjx.base.settings import AT_LEAST_ONE, Setting, validate
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView
-from usarmjx.server.ros2.node import ServiceAnswer, WorldServices
-from usarmjx.server.ros2.parameters import NodeParameter, ParameterServices
+from usarmjx.server.ros2.node import NodeParameter, ParameterServices, ServiceAnswer, WorldServices
 from usarmjx.server.ros2.transport import (
     CLOCK,
     COMMANDS,
@@ -32,10 +31,10 @@ from usarmjx.server.ros2.transport import (
 )
 from usarmjx.server.ros2.worker import Outlet, TransportCounts, TransportWorker
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.encodings import CdrReader
 from usarmjx.server.rosbridge.images import image_view, picture_message
 from usarmjx.server.rosbridge.motion import MAP
 from usarmjx.server.rosbridge.robot_description import urdf
-from usarmjx.server.rosbridge.serialization import CdrReader
 from usarmjx.server.rosbridge.services import RosRobots
 from usarmjx.server.rosbridge.topics import TWIST, RosTopic, WorldTopics
 from usarmjx.server.runtime.logs import FaultLog

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from usarmjx.server.ros2.transport import Closable, Publisher, Qos, Reply, TakeMessage, TakeRequest, Transport
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
-from usarmjx.server.rosbridge.serialization import MessageBytes
+from usarmjx.server.rosbridge.encodings import MessageBytes
 
 log = logging.getLogger(__name__)
 

@@ -25,8 +25,9 @@ from usarmjx.server.ros2.transport import (
     TakeMessage,
     TakeRequest,
     dds_type,
+    message_hash,
+    service_hash,
 )
-from usarmjx.server.ros2.type_hash import message_hash, service_hash
 
 ADMIN_SPACE = "@ros2_lv"
 """First part of the keys of liveliness tokens."""

@@ -1,5 +1,6 @@
-"""Readings of sensors as ROS messages, each in the frame of its mount."""
+"""Readings of sensors as ROS messages, each in the frame of its mount; calibration of cameras."""
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import NamedTuple, TypeAlias
@@ -10,12 +11,21 @@ from usarmjx.base.transforms import GRAVITY, mat_from_angles, quat_from_angles
 from usarmjx.models.roads.network import LatLon
 from usarmjx.sensors.attitude import Ahrs
 from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.cameras.mounts import Camera
 from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.inertial import Imu
 from usarmjx.sensors.motion import GroundTruth, Ins, Odometry
 from usarmjx.sensors.ranging import Ir, RangeScanner, ScannerSettings, Sonar
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
-from usarmjx.server.rosbridge.motion import MAP, UNKNOWN, frame_name, pose_of_angles, quaternion, vector
+from usarmjx.server.rosbridge.motion import (
+    MAP,
+    UNKNOWN,
+    frame_name,
+    optical_name,
+    pose_of_angles,
+    quaternion,
+    vector,
+)
 
 ULTRASOUND, INFRARED = 0, 1
 """Values of Range's radiation_type."""
@@ -23,10 +33,8 @@ FLOAT32 = 7
 """PointField's number of the type."""
 NO_FIX, FIX, SERVICE_GPS, APPROXIMATED = -1, 0, 1, 1
 """NavSatStatus's status and service, and NavSatFix's position_covariance_type."""
-
 DISCHARGING, FULL, HEALTHY, EMPTY, TECHNOLOGY_UNKNOWN = 2, 4, 1, 3, 0
 """Values of BatteryState: of its status, of its health, and of its technology."""
-
 ReadingMaker: TypeAlias = Callable[[RosVersion, float, str, np.ndarray], RosMessage]
 """Makes a message of a version, a time [s], the robot's name in frames, and a reading."""
 
@@ -218,4 +226,71 @@ def battery_state(version: RosVersion, time: float, robot: str, life: float, rem
         "cell_temperature": [],
         "location": "",
         "serial_number": "",
+    }
+
+
+def has_info(camera: Camera) -> bool:
+    """Return whether CameraInfo can describe a camera: one with one eye, and no mirror."""
+    return camera.lens == "pinhole" and len(camera.eye_offsets) == 1
+
+
+def camera_info(
+    version: RosVersion, time: float, robot: str, camera: Camera, fov: float, size: tuple[int, int]
+) -> RosMessage:
+    """Return the CameraInfo of a camera.
+
+    Args:
+        version: Version of its field names.
+        time: Simulated time [s].
+        robot: Its robot's name, in frames.
+        camera: The camera.
+        fov: Its horizontal field of view now [rad].
+        size: Width and height of its pictures [pixels].
+    """
+    name = optical_name(f"{robot}/{frame_name(camera.mount.name)}")
+    bent = camera.imaging.distortion
+    k1, k2 = (0.0, 0.0) if bent is None else (float(one) for one in bent)
+    return pinhole_info(version, time, name, fov, size, (k1, k2))
+
+
+def pinhole_info(
+    version: RosVersion,
+    time: float,
+    frame: str,
+    fov: float,
+    size: tuple[int, int],
+    distortion: tuple[float, float] = (0.0, 0.0),
+) -> RosMessage:
+    """Return the CameraInfo of a pinhole.
+
+    Args:
+        version: Version of its field names.
+        time: Simulated time [s].
+        frame: Name of the optical frame.
+        fov: Its horizontal field of view [rad].
+        size: Width and height of its pictures [pixels].
+        distortion: k1 and k2 of a plumb bob.
+    """
+    width, height = size
+    focal = width / 2 / math.tan(fov / 2)
+    # ROS counts pixels by their centres: the first is 0, so the picture's centre is half a pixel short of
+    # half its side.
+    across, down = (width - 1) / 2, (height - 1) / 2
+    lens = {
+        "d": [*distortion, 0.0, 0.0, 0.0],
+        "k": [focal, 0.0, across, 0.0, focal, down, 0.0, 0.0, 1.0],
+        "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        "p": [focal, 0.0, across, 0.0, 0.0, focal, down, 0.0, 0.0, 0.0, 1.0, 0.0],
+    }
+    if version == RosVersion.ROS1:
+        lens = {name.upper(): values for name, values in lens.items()}
+    return {
+        "header": version.header(time, frame),
+        "height": height,
+        "width": width,
+        "distortion_model": "plumb_bob",
+        **lens,
+        "binning_x": 0,
+        "binning_y": 0,
+        "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
     }

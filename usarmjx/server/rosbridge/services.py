@@ -21,9 +21,8 @@ from usarmjx.server.protocol.commands import Init
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.rosbridge.definitions import json_object
-from usarmjx.server.rosbridge.motion import drive_keys, read_twist
+from usarmjx.server.rosbridge.motion import TrajectoryRun, drive_keys, read_trajectory, read_twist
 from usarmjx.server.rosbridge.topics import TRAJECTORY
-from usarmjx.server.rosbridge.trajectories import TrajectoryRun, read_trajectory
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import CommandUpdate, ControlMode
 

@@ -9,11 +9,15 @@ from usarmjx.models.compile.raster import Grid, floor_map
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.server.rosbridge import motion
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
-from usarmjx.server.rosbridge.lens import camera_info, has_info
-from usarmjx.server.rosbridge.motion import MAP, can_follow, pose
-from usarmjx.server.rosbridge.readings import ReadingMaker, battery_state, sensor_topics
+from usarmjx.server.rosbridge.motion import MAP, can_follow, drift_of, estimate_of, odometry_sensor, pose
+from usarmjx.server.rosbridge.readings import (
+    ReadingMaker,
+    battery_state,
+    camera_info,
+    has_info,
+    sensor_topics,
+)
 from usarmjx.server.rosbridge.robot_description import urdf
-from usarmjx.server.rosbridge.wheel_odometry import drift_of, estimate_of, odometry_sensor
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 

@@ -1,6 +1,6 @@
 """Forward pass of networks over sets, written once for NumPy and for graphs of ONNX.
 
-The twin for training is `learning.set_network`. This module imports neither JAX nor anything that needs it.
+The twin for training is `learning.networks`. This module imports neither JAX nor anything that needs it.
 """
 
 import math

@@ -155,7 +155,7 @@ class PolicySource:
         named: Whether the user has named the task, so that the code of an own one may be imported.
         parts: Policies of robot classes, by name, where each class has one of its own; else empty.
         untrained: Whether `name` is one of `untrained.UNTRAINED`.
-        own: Whether `name` is a user's own function, see `own_policy`.
+        own: Whether `name` is a user's own function, see `is_own_policy`.
     """
 
     name: str
@@ -433,7 +433,7 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
     """Return the policy of a run's folder, of an exported file, or of the package by its task's name.
 
     Args:
-        what: Folder of a run or of a policy, file, or task; a user's own function, see `own_policy`; or
+        what: Folder of a run or of a policy, file, or task; a user's own function, see `is_own_policy`; or
             `CLASS=POLICY,CLASS=POLICY`, one of these for each class of robots.
         checkpoint: Checkpoint of a run: `best`, `last`, or the number of an iteration.
 

@@ -1,7 +1,7 @@
 """Layers of the page, by name: overlays of a world that can be shown and hidden.
 
-A layer gets a drawing and then one frame after the other; `base` has the interface. Their nodes of viser are
-in `nodes`, poses of sensors in `bodies`. To add one, write a `NodeLayer` and list it here.
+A layer gets a drawing and then one frame after the other; `base` has the interface and the nodes of viser,
+`bodies` the poses of sensors. To add one, write a `NodeLayer` and list it here.
 """
 
 from usarmjx.base.registry import Registry
