@@ -10,8 +10,7 @@ from mcap.reader import make_reader
 from tests.recording.missions import drive_mission
 from usarmjx.base.errors import UsageError
 from usarmjx.recording import protobuf
-from usarmjx.recording.bags import read_bag
-from usarmjx.recording.protobuf import message_of, write_protobuf
+from usarmjx.recording.protobuf import message_of, read_bag, write_protobuf
 
 pytest.importorskip("mcap_protobuf")
 rosbags = pytest.importorskip("rosbags.typesys")

@@ -20,11 +20,9 @@ from usarmjx.server.protocol.grammar import HttpRequestError, Message, format_me
 from usarmjx.server.protocol.images import ImageSession
 from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.viewing.viser_gate import MAX_MESSAGE_SIZE
-from usarmjx.server.wireless.comserver import ComServer
-from usarmjx.server.wireless.dialect_a import DataLinkParser, DialectASession
-from usarmjx.server.wireless.dialect_b import MAX_LINE_SIZE, DialectBSession
+from usarmjx.server.wireless.dialect_a import ComServer, DataLinkParser, DialectASession
+from usarmjx.server.wireless.dialect_b import MAX_LINE_SIZE, DialectBSession, Switchboard
 from usarmjx.server.wireless.positions import PositionSession
-from usarmjx.server.wireless.switchboard import Switchboard
 
 BATCH = 20
 """Lines or messages in an example."""

@@ -31,7 +31,7 @@ from usarmjx.server.protocol.session import SEND_LIMIT
 from usarmjx.server.rosbridge.net import RosSettings
 from usarmjx.server.runtime import metrics
 from usarmjx.server.viewing.viewer_service import ViewerSettings
-from usarmjx.server.wireless import sockets, switchboard
+from usarmjx.server.wireless import dialect_b, sockets
 from usarmjx.server.wireless.net import WirelessSettings
 from usarmjx.server.wireless.sockets import ReservedPort
 
@@ -270,7 +270,7 @@ def test_the_page_on_security_has_the_limits_that_are_in_force():
         re.findall(r"^\| ([^|]+?) \| ([^|]+?) \|[^|\n]*\|$", text.partition("## Limits")[2], re.MULTILINE)
     )
     told = {what: [int(number) for number in re.findall(r"\d+", rows[what])] for what in rows}
-    bots, air, calls = BotServerSettings(), WirelessSettings(), switchboard.MAX_CONNECTIONS
+    bots, air, calls = BotServerSettings(), WirelessSettings(), dialect_b.MAX_CONNECTIONS
     images, page = ImageSettings(), ViewerSettings()
     held = (bots.max_connections, air.max_connections, images.max_connections, page.max_connections)
     quarters = [

@@ -207,7 +207,7 @@ class RadioOptions:
 
     def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:
         """Return the maker of the wireless servers of a world."""
-        from usarmjx.server.wireless.comserver import check_addresses
+        from usarmjx.server.wireless.dialect_a import check_addresses
         from usarmjx.server.wireless.net import WirelessSettings, make_wireless
 
         del ini

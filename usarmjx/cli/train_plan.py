@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.task import Task
     from usarmjx.train.learning.config import Config, EnvArguments
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
-    from usarmjx.train.learning.iterations import TrainResult
     from usarmjx.train.learning.stopping import StopRequest
+    from usarmjx.train.learning.trainer import TrainResult
 
 
 SET_FILE = "seeds.json"

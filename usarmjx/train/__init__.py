@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from usarmjx.train.evaluation.evaluate import evaluate as evaluate
     from usarmjx.train.evaluation.evaluate import evaluate_episodes as evaluate_episodes
     from usarmjx.train.learning.config import Config as Config
-    from usarmjx.train.learning.iterations import TrainResult as TrainResult
     from usarmjx.train.learning.seed_runs import train_seeds as train_seeds
+    from usarmjx.train.learning.trainer import TrainResult as TrainResult
     from usarmjx.train.learning.trainer import train as train
     from usarmjx.train.make import make_task as make_task
     from usarmjx.train.policies import POLICIES as POLICIES
-    from usarmjx.train.policies.export import export_run as export_run
     from usarmjx.train.policies.policy_file import NumpyPolicy as NumpyPolicy
+    from usarmjx.train.policies.export import export_run as export_run
     from usarmjx.train.policies.sources import PolicySource as PolicySource
     from usarmjx.train.policies.sources import load_policy as load_policy
     from usarmjx.train.tasks import TASKS as TASKS
@@ -63,8 +63,7 @@ else:
             "usarmjx.train.evaluation.evaluate": ("Episodes", "Evaluation", "evaluate", "evaluate_episodes"),
             "usarmjx.train.learning.config": ("Config",),
             "usarmjx.train.learning.seed_runs": ("train_seeds",),
-            "usarmjx.train.learning.iterations": ("TrainResult",),
-            "usarmjx.train.learning.trainer": ("train",),
+            "usarmjx.train.learning.trainer": ("TrainResult", "train"),
             "usarmjx.train.make": ("make_task",),
             "usarmjx.train.policies": ("POLICIES",),
             "usarmjx.train.policies.export": ("export_run",),

@@ -1,7 +1,7 @@
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.arenas.floorplan import walls
+from usarmjx.models.arenas.pieces import walls
 
 EXACT = 1e-12
 PLAN = """

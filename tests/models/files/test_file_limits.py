@@ -19,7 +19,7 @@ from usarmjx.models.files import mjcf, reader_child
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.reader_process import ReaderProcess
 from usarmjx.models.files.robot_file import robot_from_mjcf
-from usarmjx.models.files.xml_size import check_model_size
+from usarmjx.models.files.xml_file import check_model_size
 
 BRIEFLY = 10.0
 """Seconds of a processor; what was mended here took minutes to years."""

@@ -11,7 +11,7 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.check.arena import check_arena
 from usarmjx.models.files.load import load_arena, read_arena
 from usarmjx.models.files.maps import MAX_DISJOINT, cover, overlapping_rectangles, rectangles
-from usarmjx.models.files.polygons import convex_parts
+from usarmjx.models.files.mesh_solids import convex_parts
 
 MAP = """type octile
 height 4

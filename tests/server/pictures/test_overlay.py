@@ -12,7 +12,7 @@ from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, from_tiles, omni_ray
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.sensors.sketch import OverlayLines
-from usarmjx.server.pictures.overlay import BALL_RADIUS, draw_overlay
+from usarmjx.server.pictures.views import BALL_RADIUS, draw_overlay
 
 WIDTH, HEIGHT = 160, 120
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)

@@ -12,16 +12,20 @@ from hypothesis import strategies as st
 
 from tests.server.fake_radio import FakeRadio
 from usarmjx.base.errors import PeerError
-from usarmjx.server.wireless import comserver, dialect_a
-from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair, Refusal, Register
+from usarmjx.server.wireless import dialect_a
 from usarmjx.server.wireless.dialect_a import (
     MAX_MESSAGE_SIZE,
     MAX_PAYLOAD,
     TRANSITIONS,
     VERBS,
+    ComServer,
     DataLinkParser,
     DialectAPhase,
     DialectASession,
+    Endpoint,
+    EndpointPair,
+    Refusal,
+    Register,
     parse_request,
 )
 from usarmjx.server.wireless.dialect_a import DataLinkPhase as Part
@@ -278,19 +282,19 @@ def test_a_stranger_cannot_have_a_port_dialled_that_was_not_offered():
 
 def test_links_per_robot_are_bounded():
     party = registered()
-    for port in range(1, comserver.MAX_LINKS_PER_ROBOT + 2):
+    for port in range(1, dialect_a.MAX_LINKS_PER_ROBOT + 2):
         party.ask(f"LISTEN R2 {port};")
-        if port <= comserver.MAX_LINKS_PER_ROBOT:
+        if port <= dialect_a.MAX_LINKS_PER_ROBOT:
             endpoints = party.open(f"OPEN R1 9 R2 {port};")
             assert party.answer(True) == "OK;"
-    last = comserver.MAX_LINKS_PER_ROBOT + 1
+    last = dialect_a.MAX_LINKS_PER_ROBOT + 1
     assert party.ask(f"OPEN R1 9 R2 {last};") == "Fail: Could not establish connection;"
     party.server.closed(endpoints)
     assert party.open(f"OPEN R1 9 R2 {last};") is not None
 
 
 def test_links_of_all_robots_together_are_bounded(monkeypatch):
-    monkeypatch.setattr(comserver, "MAX_LINKS", 2)
+    monkeypatch.setattr(dialect_a, "MAX_LINKS", 2)
     party = registered()
     for port in (1, 2, 3):
         party.ask(f"LISTEN R2 {port};")
@@ -302,16 +306,16 @@ def test_links_of_all_robots_together_are_bounded(monkeypatch):
 
 def test_ports_per_robot_are_bounded():
     party = registered()
-    replies = [party.ask(f"LISTEN R1 {port};") for port in range(1, comserver.MAX_LISTEN_PORTS + 2)]
+    replies = [party.ask(f"LISTEN R1 {port};") for port in range(1, dialect_a.MAX_LISTEN_PORTS + 2)]
     assert set(replies[:-1]) == {"OK;"}
     assert replies[-1].startswith("Fail: Robot with name R1 already listening at ")
 
 
 def test_registrations_without_a_robot_make_room():
     party = registered()
-    for i in range(3 * comserver.MAX_REGISTRATIONS):
+    for i in range(3 * dialect_a.MAX_REGISTRATIONS):
         assert party.ask(f"REGISTER Junk{i} {HERE};") == "OK;"
-    assert len(party.server._registrations) == comserver.MAX_REGISTRATIONS
+    assert len(party.server._registrations) == dialect_a.MAX_REGISTRATIONS
     assert party.ask("LISTEN R1 4000;LISTEN R2 4000;") == "OK;OK;", "robots in the world keep theirs"
 
 

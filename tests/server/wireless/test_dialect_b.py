@@ -10,16 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.server.fake_radio import FakeRadio
-from usarmjx.server.wireless import switchboard
+from usarmjx.server.wireless import dialect_b
 from usarmjx.server.wireless.dialect_b import (
+    JOIN_TIMEOUT,
     TRANSITIONS,
     WRONG_PHASE_REASONS,
     DialectBPhase,
     DialectBSession,
+    Route,
+    Switchboard,
     parse_strict,
 )
 from usarmjx.server.wireless.positions import PositionSession
-from usarmjx.server.wireless.switchboard import JOIN_TIMEOUT, Route, Switchboard
 
 HERE, THERE = "127.0.0.1", "10.0.0.2"
 
@@ -200,7 +202,7 @@ def test_no_port_left():
 
 def test_numbers_per_robot_are_bounded():
     party = Party()
-    ports = [str(port) for port in range(1, switchboard.MAX_PORTS_PER_ROBOT + 2)]
+    ports = [str(port) for port in range(1, dialect_b.MAX_PORTS_PER_ROBOT + 2)]
     one, _ = party.joined("R1"), party.joined("R2", ",".join(ports))
     replies = [ask(one, f"DNS {{Robot R2}} {{Port {port}}}") for port in ports]
     assert all(reply.startswith("DNSREPLY") for reply in replies[:-1])
@@ -208,8 +210,8 @@ def test_numbers_per_robot_are_bounded():
 
 
 def test_numbers_and_pipes_of_all_robots_together_are_bounded(monkeypatch):
-    monkeypatch.setattr(switchboard, "MAX_PORTS", 2)
-    monkeypatch.setattr(switchboard, "MAX_CONNECTIONS", 1)
+    monkeypatch.setattr(dialect_b, "MAX_PORTS", 2)
+    monkeypatch.setattr(dialect_b, "MAX_CONNECTIONS", 1)
     party = Party()
     one, two = party.joined("R1", "1,2"), party.joined("R2", "1,2")
     for session, line in ((one, "DNS {Robot R2}"), (two, "DNS {Robot R1}")):
@@ -292,7 +294,7 @@ def test_only_the_caller_may_call_and_only_with_a_signal():
 def test_pipes_per_robot_are_bounded():
     party = Party()
     _, _, route = open_route(party)
-    for port in range(switchboard.MAX_CONNECTIONS_PER_ROBOT):
+    for port in range(dialect_b.MAX_CONNECTIONS_PER_ROBOT):
         assert party.board.may_call(route, HERE)
         party.board.add_connection(route, port)
     assert not party.board.may_call(route, HERE)

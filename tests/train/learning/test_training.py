@@ -15,7 +15,7 @@ from tests.listening import COMPILED, compilations
 from tests.train.runs import CONFIG, lines
 from tests.train.toys import DriveToy, EndlessToy, MemoryToy, small_config
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning import iterations as iterations_module
+from usarmjx.train.learning import trainer as iterations_module
 from usarmjx.train.learning import trainer as trainer_module
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer

@@ -24,7 +24,6 @@ from usarmjx.models.arenas.elements import (
     stairs,
     step_field,
 )
-from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import (
     BRICKED,
     PANE,
@@ -39,6 +38,7 @@ from usarmjx.models.arenas.pieces import (
     pipe,
     plank,
     span,
+    walls,
     waving,
 )
 from usarmjx.models.compile.victims import rest_height

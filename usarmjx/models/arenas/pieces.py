@@ -1,16 +1,17 @@
-"""Building parts, debris, pipes and finishes that several arenas share."""
+"""Walls from drawn plans, building parts, debris, pipes and finishes that several arenas share."""
 
 import math
 import random
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.elements import CELL, STONE, WOOD, block
-from usarmjx.models.arenas.floorplan import WALL_RGBA
 from usarmjx.models.types.arena import LooseObject, SegmentMotion
 from usarmjx.models.types.shapes import OPAQUE, ZERO, Position2D, Rgba, Shape
 
+WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 CONCRETE: Rgba = (0.65, 0.65, 0.62, 1.0)
 STEEL: Rgba = (0.45, 0.48, 0.52, 1.0)
 BRICK: Rgba = (0.6, 0.28, 0.2, 1.0)
@@ -18,47 +19,86 @@ CARDBOARD: Rgba = (0.72, 0.55, 0.36, 1.0)
 PANE: Rgba = (0.6, 0.8, 0.9, 0.35)
 SILVER: Rgba = (0.8, 0.85, 0.9, 1.0)
 MESHWORK: Rgba = (0.75, 0.75, 0.2, 0.6)
-
 CINDER_SIZE: Vec3 = (0.39, 0.19, 0.19)
 """Size of a cement block [m]: 16 x 8 x 8 inches less the mortar."""
-
 CINDER_MASS = 13.0
 """Mass of a cement block [kg]."""
-
 PLYWOOD_DENSITY = 600.0
 """Density of plywood [kg/m3]."""
-
 PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
-
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 """Golden angle [rad], which spreads points evenly over a disc."""
-
 TexturesByColour = Mapping[Rgba, str]
 """Names of textures (`types.shapes`) by colour."""
-
 BARE: TexturesByColour = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
 """Textures of plywood, stone, concrete and bricks."""
-
 PANELLED: TexturesByColour = {**BARE, WALL_RGBA: "wood"}
 """Finish with walls of boards, as in test halls."""
-
 BRICKED: TexturesByColour = {**BARE, WALL_RGBA: "brick"}
 """Finish with walls of bricks."""
-
 CAST: TexturesByColour = {**BARE, WALL_RGBA: "concrete"}
 """Finish with walls of concrete."""
-
 PIPE_DIAMETER = 0.06
 """Outer diameter of a 2 inch pipe [m]."""
-
 PIPE_MASS = 5.4
 """Mass of a 2 inch steel pipe per length [kg/m]."""
-
 STEP_PIPE_DIAMETER = 0.11
 """Outer diameter of a 4 inch pipe [m]."""
-
 OCTAGON_APOTHEM = math.cos(math.pi / 8)
 """Height of the axis of an octagonal pipe that lies on a side, over its radius."""
+
+
+def _runs(cells: list[bool]) -> list[tuple[int, int]]:
+    """Return (start, stop) of each run of true cells, so that a straight wall is one box."""
+    runs: list[tuple[int, int]] = []
+    start = None
+    for i, filled in enumerate([*cells, False]):
+        if filled and start is None:
+            start = i
+        elif not filled and start is not None:
+            runs.append((start, i))
+            start = None
+    return runs
+
+
+def walls(
+    plan: str, *, origin: tuple[float, float], cell: float = 1.2, height: float = 1.2, thickness: float = 0.05
+) -> tuple[Shape, ...]:
+    """Return the walls of a plan drawn with `+`, `--` and `|` as boxes on the floor.
+
+    The first row of text is the far left (largest y), x grows along a row.
+
+    Args:
+        plan: Rows of `+--+  +` (walls along x) alternating with rows of `|  |   ` (walls along y).
+        origin: x and y of the plan's lower left corner [m].
+        cell: Side of a grid cell [m].
+        height: Wall height [m].
+        thickness: Wall thickness [m].
+
+    Raises:
+        SpecError: The rows do not have the same length.
+    """
+    rows = plan.strip("\n").splitlines()  # a row of blanks is a row of open cells
+    if len({len(row) for row in rows}) != 1 or len(rows) % 2 == 0:
+        raise SpecError("a floor plan needs an odd number of rows of the same length")
+    columns, lines = (len(rows[0]) - 1) // 3, (len(rows) - 1) // 2
+    boxes: list[Shape] = []
+
+    def add(x0: float, y0: float, x1: float, y1: float) -> None:
+        half = ((x1 - x0 + thickness) / 2, (y1 - y0 + thickness) / 2, height / 2)
+        centre = (origin[0] + (x0 + x1) / 2, origin[1] + (y0 + y1) / 2, height / 2)
+        boxes.append(Shape(kind="box", size=half, at=centre, surface="wall", rgba=WALL_RGBA))
+
+    for line in range(lines + 1):
+        y = (lines - line) * cell
+        along = [rows[2 * line][3 * column + 1] == "-" for column in range(columns)]
+        for start, stop in _runs(along):
+            add(start * cell, y, stop * cell, y)
+    for column in range(columns + 1):
+        across = [rows[2 * line + 1][3 * column] == "|" for line in range(lines)]
+        for start, stop in _runs(across):
+            add(column * cell, (lines - stop) * cell, column * cell, (lines - start) * cell)
+    return tuple(boxes)
 
 
 def span(

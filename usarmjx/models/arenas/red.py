@@ -11,7 +11,6 @@ import math
 from functools import partial
 
 from usarmjx.models.arenas.elements import CELL, cell_center, deck, slope, step_field
-from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import (
     CAST,
     brick,
@@ -25,6 +24,7 @@ from usarmjx.models.arenas.pieces import (
     plank,
     rubble,
     slab,
+    walls,
     waving,
 )
 from usarmjx.models.compile.victims import rest_height

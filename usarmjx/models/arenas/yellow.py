@@ -13,7 +13,6 @@ import math
 from functools import partial
 
 from usarmjx.models.arenas.elements import CELL, WOOD, block, cell_center, ramp
-from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.pieces import (
     MESHWORK,
     PANE,
@@ -23,6 +22,7 @@ from usarmjx.models.arenas.pieces import (
     finished,
     loose_box,
     span,
+    walls,
     waving,
 )
 from usarmjx.models.compile.victims import rest_height

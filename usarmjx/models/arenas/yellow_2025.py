@@ -9,9 +9,8 @@ import math
 from functools import partial
 
 from usarmjx.models.arenas.elements import CELL, RAMP_ANGLE, cell_center, slope
-from usarmjx.models.arenas.floorplan import walls
 from usarmjx.models.arenas.league_hall import victim_box, wall_sign
-from usarmjx.models.arenas.pieces import PANELLED, finished, waving
+from usarmjx.models.arenas.pieces import PANELLED, finished, walls, waving
 from usarmjx.models.arenas.yellow import PLAN
 from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, HelpSound, Light, StartPose, Tag, Victim

@@ -7,8 +7,8 @@ import numpy as np
 
 from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.robot_source import RobotSource, SensorOnLink, StatedDrive, listed
-from usarmjx.models.files.urdf_robot import body_name
-from usarmjx.models.files.xml_lines import NO_POSE, LinedElement, numbers_of, pose_of
+from usarmjx.models.files.urdf import body_name
+from usarmjx.models.files.xml_file import NO_POSE, LinedElement, numbers_of, pose_of
 from usarmjx.models.types.robot import Options
 
 SLIPPERY = 0.1

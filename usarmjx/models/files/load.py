@@ -37,7 +37,7 @@ from usarmjx.models.files.sdf_solids import placed_pieces
 from usarmjx.models.files.sdf_tree import SDF_ROOTS
 from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content
-from usarmjx.models.files.xml_lines import root_tag
+from usarmjx.models.files.xml_file import root_tag
 from usarmjx.models.files.yaml_file import (
     MeshFile,
     TerrainFile,

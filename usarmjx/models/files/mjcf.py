@@ -26,7 +26,7 @@ from usarmjx.models.files.mjcf_solids import (
 )
 from usarmjx.models.files.reader_process import try_model
 from usarmjx.models.files.robot_source import left_out
-from usarmjx.models.files.xml_size import check_model_size, drop_sizes
+from usarmjx.models.files.xml_file import check_model_size, drop_sizes
 from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import BodyInertia, HeightField, Shape
 

@@ -12,8 +12,8 @@ from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.mjcf_solids import Pose, mat_of
 from usarmjx.models.files.reader_process import try_model
 from usarmjx.models.files.robot_source import MimicJoint, RobotSource, SensorOnLink, left_out, place_of
-from usarmjx.models.files.urdf_robot import LIGHT_INERTIA, LIGHT_NOTE, LIGHT_SHARE, MIN_MASS
-from usarmjx.models.files.xml_size import check_model_size, drop_sizes
+from usarmjx.models.files.urdf import LIGHT_INERTIA, LIGHT_NOTE, LIGHT_SHARE, MIN_MASS
+from usarmjx.models.files.xml_file import check_model_size, drop_sizes
 from usarmjx.models.types.robot import Motor
 
 DEFAULT_STIFFNESS_RATIO = 20.0

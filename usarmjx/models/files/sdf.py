@@ -30,7 +30,7 @@ from usarmjx.models.files.sdf_tree import (
     links_of,
     read_pose,
 )
-from usarmjx.models.files.xml_lines import LinedElement, numbers_of
+from usarmjx.models.files.xml_file import LinedElement, numbers_of
 from usarmjx.models.types.arena import START_ELEVATION, Door, Light, LooseObject, StartPose
 from usarmjx.models.types.shapes import BodyInertia, Rgba, Shape
 

@@ -22,7 +22,7 @@ from usarmjx.models.files.sdf_tree import (
     joints_of,
     links_of,
 )
-from usarmjx.models.files.xml_lines import NO_POSE, LinedElement
+from usarmjx.models.files.xml_file import NO_POSE, LinedElement
 
 MOVING = {"revolute": "revolute", "hinge": "revolute", "continuous": "continuous", "prismatic": "prismatic"}
 """URDF's types of joints by SDF's; all others but `fixed` are held."""

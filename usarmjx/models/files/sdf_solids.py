@@ -9,11 +9,10 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3, flip_angles
 from usarmjx.models.files.content import MIN_WALL_HEIGHT, surface_of
 from usarmjx.models.files.images import read_height_shares
-from usarmjx.models.files.mesh_solids import Use, WorldPiece, world_pieces
+from usarmjx.models.files.mesh_solids import Use, WorldPiece, convex_parts, prism, signed_area, world_pieces
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles
-from usarmjx.models.files.polygons import convex_parts, prism, signed_area
 from usarmjx.models.files.sdf_tree import SdfFiles
-from usarmjx.models.files.xml_lines import LinedElement, numbers_of
+from usarmjx.models.files.xml_file import LinedElement, numbers_of
 from usarmjx.models.types.shapes import HeightField, Rgba, Shape
 
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)

@@ -14,7 +14,7 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.gazebo_sensors import DRIVE_PLUGINS
 from usarmjx.models.files.mjcf_solids import Pose, mat_of
 from usarmjx.models.files.resources import Resources
-from usarmjx.models.files.xml_lines import NO_POSE, LinedElement, numbers_of, pose_of, read_lined_xml
+from usarmjx.models.files.xml_file import NO_POSE, LinedElement, numbers_of, pose_of, read_lined_xml
 
 MAX_SDF_ELEMENTS = 200_000
 """Largest number of elements of a world, those of included models as often as they are included."""

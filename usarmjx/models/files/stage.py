@@ -13,7 +13,7 @@ from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.files.content import Content
 from usarmjx.models.files.images import read_grey
 from usarmjx.models.files.maps import MAX_MAP_BOXES, GridFrame, cover
-from usarmjx.models.files.polygons import convex_parts, prism
+from usarmjx.models.files.mesh_solids import convex_parts, prism
 from usarmjx.models.files.robot_source import listed, plain_name, unused_name
 from usarmjx.models.types.arena import START_ELEVATION, StartPose
 from usarmjx.models.types.shapes import Rgba, Shape

@@ -19,8 +19,7 @@ from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, Setting,
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate, peer_address
 from usarmjx.server.network.ports import IMAGE_PORT, PORT
-from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
-from usarmjx.server.pictures.views import CompositeView, client_view
+from usarmjx.server.pictures.views import CompositeView, RenderThread, ViewImages, client_view
 from usarmjx.server.protocol.grammar import HttpRequestError
 from usarmjx.server.protocol.images import ImageSession, Region, encode_frame
 from usarmjx.server.protocol.viewports import MultiView

@@ -15,8 +15,7 @@ from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.installation import install_command
 from usarmjx.base.settings import AT_LEAST_ONE, Setting, validate
 from usarmjx.server.gamebots.server import BotServer
-from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
-from usarmjx.server.pictures.views import CompositeView
+from usarmjx.server.pictures.views import CompositeView, RenderThread, ViewImages
 from usarmjx.server.ros2.node import NodeParameter, ParameterServices, ServiceAnswer, WorldServices
 from usarmjx.server.ros2.transport import (
     CLOCK,

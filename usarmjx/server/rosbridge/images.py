@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.pictures.render_thread import ViewImages
-from usarmjx.server.pictures.views import CompositeView, robot_view
+from usarmjx.server.pictures.views import CompositeView, ViewImages, robot_view
 from usarmjx.server.protocol.images import format_number, jpeg
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication

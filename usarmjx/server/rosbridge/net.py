@@ -24,7 +24,7 @@ from usarmjx.server.network.gate import Gate
 from usarmjx.server.network.loop_meter import preferred
 from usarmjx.server.network.ports import PORT, bound_socket
 from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_name, listen_for_websockets
-from usarmjx.server.pictures.render_thread import RenderThread
+from usarmjx.server.pictures.views import RenderThread
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
 from usarmjx.server.rosbridge.images import PictureRequest, image_view, picture_messages

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.cameras.picture import camera_viewpoint
-from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
-from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
+from usarmjx.server.pictures.views import CompositeView, RenderThread, ViewImages, all_robots_view, robot_view
 from usarmjx.server.worlds.served_world import ServedWorld, ViewpointRequest
 from usarmjx.view.drawing import Drawing, Frame
 

@@ -23,9 +23,17 @@ from usarmjx.server.network.ports import PORT, POSITION_PORT, WSS2_PORT, WSS_POR
 from usarmjx.server.protocol.grammar import HttpRequestError
 from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.wireless.channel import reaches
-from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair, normalize_address
-from usarmjx.server.wireless.dialect_a import MESSAGE_END, DataLinkParser, DataLinkPhase, DialectASession
-from usarmjx.server.wireless.dialect_b import DialectBSession
+from usarmjx.server.wireless.dialect_a import (
+    MESSAGE_END,
+    ComServer,
+    DataLinkParser,
+    DataLinkPhase,
+    DialectASession,
+    Endpoint,
+    EndpointPair,
+    normalize_address,
+)
+from usarmjx.server.wireless.dialect_b import MAX_CONNECTIONS, Changes, DialectBSession, Route, Switchboard
 from usarmjx.server.wireless.positions import PositionSession
 from usarmjx.server.wireless.radio_channel import RadioChannel
 from usarmjx.server.wireless.sockets import (
@@ -40,7 +48,6 @@ from usarmjx.server.wireless.sockets import (
     listen,
     log,
 )
-from usarmjx.server.wireless.switchboard import MAX_CONNECTIONS, Changes, Route, Switchboard
 from usarmjx.server.wireless.truth import TruthSession
 from usarmjx.server.worlds.served_world import ServedWorld
 

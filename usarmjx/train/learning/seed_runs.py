@@ -39,21 +39,23 @@ from usarmjx.train.learning.config import (
     seed_folder,
 )
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
-from usarmjx.train.learning.iterations import (
-    IterationsWatch,
-    Records,
-    RunOutputs,
-    TrainResult,
-    ignore,
-    run_iterations,
-)
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.learning.stopping import StopRequest
 from usarmjx.train.learning.train_state import STAGGER_STREAM, Networks, TrainState
-from usarmjx.train.learning.trainer import check_ahead, compiling, lock_run
+from usarmjx.train.learning.trainer import (
+    IterationsWatch,
+    Records,
+    RunOutputs,
+    TrainResult,
+    check_ahead,
+    compiling,
+    ignore,
+    lock_run,
+    run_iterations,
+)
 from usarmjx.train.learning.trajectory import (
     Decision,
     GroupArrays,
