@@ -9,7 +9,7 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.server.peers import say
-from usarmjx.models.compile.servos import servos_of
+from usarmjx.models.compile.kinematic_tree import servos_of
 from usarmjx.models.types.robot import HOLD_SUFFIX
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.replay import check_recording

@@ -15,17 +15,22 @@ from usarmjx.cli.app import app
 from usarmjx.cli.known_names import full_name as command_line_name
 from usarmjx.cli.tables import LISTINGS
 from usarmjx.plots.training_plots import curve_of_record
-from usarmjx.sweeps.results import RunResult, read_result, run_digest
 from usarmjx.sweeps.spec import SUITES, complete, read_spec
 from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, write_sweep
-from usarmjx.sweeps.suite import load_suite
+from usarmjx.sweeps.suite import RunResult, load_suite, read_result, run_digest
 from usarmjx.train import make as making
 from usarmjx.train.adapters import gymnasium as adapter
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.evaluation import radio_matters, yardsticks
-from usarmjx.train.learning.config import Config, task_config, training_engine, training_fields
-from usarmjx.train.learning.run_record import RunRecord, load_record
+from usarmjx.train.learning.config import (
+    Config,
+    RunRecord,
+    load_record,
+    task_config,
+    training_engine,
+    training_fields,
+)
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.export import export_run
 from usarmjx.train.policies.policy_file import NumpyPolicy

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from usarmjx.train.learning.trainer import train as train
     from usarmjx.train.make import make_task as make_task
     from usarmjx.train.policies import POLICIES as POLICIES
-    from usarmjx.train.policies.policy_file import NumpyPolicy as NumpyPolicy
     from usarmjx.train.policies.export import export_run as export_run
+    from usarmjx.train.policies.policy_file import NumpyPolicy as NumpyPolicy
     from usarmjx.train.policies.sources import PolicySource as PolicySource
     from usarmjx.train.policies.sources import load_policy as load_policy
     from usarmjx.train.tasks import TASKS as TASKS

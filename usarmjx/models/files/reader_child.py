@@ -24,7 +24,7 @@ MAX_MODEL_SIZES = {
     "ntexdata": 256_000_000,
     "nuserdata": 1_000_000,
 }
-"""Largest sizes of a model: those of `xml_size`, for files whose XML is readable only by MuJoCo."""
+"""Largest sizes of a model: those of `xml_file`, for files whose XML is readable only by MuJoCo."""
 MAX_MODEL_VALUES = {
     **dict.fromkeys(
         ("body_pos", "body_ipos", "geom_pos", "geom_size", "jnt_pos", "mesh_vert", "hfield_size"), 1e7
