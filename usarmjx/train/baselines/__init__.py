@@ -8,6 +8,7 @@ scores are in docs/tasks.md: who changes one measures again. Begin with `climb.p
 from collections.abc import Callable
 
 from usarmjx.base.registry import Registry
+from usarmjx.train.baselines.chain import chain_policy
 from usarmjx.train.baselines.climb import climb_policy
 from usarmjx.train.baselines.frontier import frontier_policy, relay_policy
 from usarmjx.train.baselines.goal import BugCarry, bug_action, bug_policy, initial_bug_carry
@@ -25,6 +26,7 @@ __all__ = [
     "BugCarry",
     "bug_action",
     "bug_policy",
+    "chain_policy",
     "climb_policy",
     "courier_policy",
     "frontier_policy",
@@ -49,6 +51,7 @@ for version in (1, 2):
 BASELINES.add("explore-v3", reporting_policy)
 BASELINES.add("victim-search-v3", courier_policy)
 BASELINES.add("relay-chain-v1", relay_policy)
+BASELINES.add("relay-chain-v3", chain_policy)
 BASELINES.add("convoy", pursuit_policy)
 BASELINES.add("stairs", climb_policy)
 BASELINES.add("hover-inspect", inspection_policy)

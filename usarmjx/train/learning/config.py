@@ -38,7 +38,7 @@ SMALL_SETTINGS: dict[str, Any] = {
     "total_steps": 900_000,
 }
 """Settings of runs of `hover-inspect` on two cores; `convoy` and `stairs` only imitate with them."""
-GOAL_TASKS = ("explore-v3", "victim-search-v3")
+GOAL_TASKS = ("explore-v3", "victim-search-v3", "relay-chain-v3")
 """Tasks whose robots choose goals."""
 GOAL_SETTINGS: dict[str, Any] = {
     **{"gamma": 0.99, "gae_lambda": 0.95, "action_repeat": 8, "rollout_length": 25},

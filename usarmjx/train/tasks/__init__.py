@@ -17,6 +17,7 @@ from usarmjx.train.tasks.explore import Explore
 from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.hover_inspect import HoverInspect
+from usarmjx.train.tasks.relay_base import RelayBase
 from usarmjx.train.tasks.relay_chain import RelayChain
 from usarmjx.train.tasks.search_base import SearchBase
 from usarmjx.train.tasks.soccer import Soccer
@@ -34,6 +35,7 @@ __all__ = [
     "ExploreBase",
     "GoalTeam",
     "HoverInspect",
+    "RelayBase",
     "RelayChain",
     "SearchBase",
     "Soccer",
@@ -68,10 +70,11 @@ TASKS.add(
     ),
 )
 TASKS.add("victim-search-v3", SearchBase(arena=SEARCHED_V3))
+TASKS.add("relay-chain-v1", RelayChain())
+TASKS.add("relay-chain-v3", RelayBase(arena=BUILDINGS_V3))
 
 TASKS.add("drive-to-goal", DriveToGoal())
 TASKS.add("wander", Wander())
-TASKS.add("relay-chain-v1", RelayChain())
 TASKS.add("convoy", Convoy())
 TASKS.add("stairs", Stairs())
 TASKS.add("hover-inspect", HoverInspect())

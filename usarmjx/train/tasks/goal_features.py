@@ -70,12 +70,14 @@ class GoalView(NamedTuple):
         time: The time [s] ().
         seconds: Time that is left [s] ().
         untold: News on each robot's map that each other one may not have [squares] (robots, robots).
+        mates: Other robots among the goals.
     """
 
     base: int
     time: Array
     seconds: Array
     untold: jax.Array
+    mates: int = MATES
 
 
 def heard_of(belief: Belief, base: int, time: Array) -> jax.Array:
@@ -152,9 +154,11 @@ def goal_features(grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, ju
     been = belief.visited[np.arange(robots)[:, None], square[..., 0], square[..., 1]]
     from_base = jnp.linalg.norm(goals.position - belief.pose[base, :2], axis=-1)
     to_go = (grid.cell * jnp.minimum(goals.length, LONGEST_SEEN * LENGTH_SCALE) + from_base) / HOME_SPEED
-    mates = nearest_mates(belief, base, judged.time, MATES)
+    mates = nearest_mates(belief, base, judged.time, judged.mates)
     for_mates = judged.untold[np.arange(robots)[:, None], mates.slot]
-    news = jnp.concatenate([judged.untold[:, base, None], for_mates, jnp.zeros((robots, FRONTIERS))], -1)
+    news = jnp.concatenate(
+        [judged.untold[:, base, None], for_mates, jnp.zeros((robots, GOALS - 1 - judged.mates))], -1
+    )
     facts = [
         there / NEAR_SCALE,
         jnp.minimum(goals.length / LENGTH_SCALE, LONGEST_SEEN)[..., None],

@@ -68,6 +68,8 @@ from usarmjx.train.tasks.team import (
     true_pose_features,
 )
 
+HOLD = 2
+"""Number of the goal to stay, of tasks that have it; else that of the second robot."""
 TRUTH_WIDTH = 16
 """Squares along a side of the maps that critics see."""
 RECENT_REPORT = 1.0
@@ -180,6 +182,8 @@ class GoalTeam(TeamTask):
     decides: ClassVar[bool] = True
     news_kind: ClassVar[int] = FREE
     """Kind of the squares that are news."""
+    holds: ClassVar[bool] = False
+    """Whether robots may choose to stay, in place of the second robot."""
     news_worth: ClassVar[float] = 1.0
     """Squares that a square of news counts as, where robots observe how much they have."""
 
@@ -230,9 +234,14 @@ class GoalTeam(TeamTask):
             own=OWN_NUMBERS + SECTOR_COUNT,
             others=(OBSERVED_MATES, MATE_NUMBERS),
             choices=(GOALS, GOAL_NUMBERS),
-            kinds=(0, *(1,) * MATES, *(2,) * FRONTIERS),
+            kinds=(0, 1, 3, *(2,) * FRONTIERS) if self.holds else (0, *(1,) * MATES, *(2,) * FRONTIERS),
             picture=Picture(LEVELS, WIDTH, len(CHANNELS)) if self.pictures else NO_PICTURE,
         )
+
+    @property
+    def mate_goals(self) -> int:
+        """Other robots among the goals."""
+        return MATES - self.holds
 
     @property
     def pictures(self) -> bool:
@@ -283,7 +292,7 @@ class GoalTeam(TeamTask):
             pose=belief.pose,
             headers=belief.mate_headers,
             age=view.time - belief.heard_time,
-            mates=nearest_mates(belief, station_slot(view.scene), view.time, MATES),
+            mates=nearest_mates(belief, station_slot(view.scene), view.time, self.mate_goals),
         )
 
     def targets(self, view: TaskView, memory: TeamMemory) -> jax.Array:
@@ -308,7 +317,7 @@ class GoalTeam(TeamTask):
         mates = known.mates
         heads = known.headers[np.arange(robots)[:, None], mates.slot]
         home = jnp.broadcast_to(known.pose[base, :2], (robots, 1, 2))
-        places = jnp.concatenate([home, heads[..., :2]], 1)
+        places = jnp.concatenate([home, heads[..., :2], *[known.pose[:, None, :2]] * self.holds], 1)
         facts = self.drivable(known), known.pose, self.ends(known), places, _blocked(grid, known)
 
         def one(
@@ -317,8 +326,8 @@ class GoalTeam(TeamTask):
             return find_goals(grid, squares, pose, ends, places, blocked=blocked, count=FRONTIERS)
 
         goals = _of_agents(jax.vmap(one), self.agents(scene), robots, facts)
-        here = jnp.ones((robots, 1), bool)
-        real = jnp.concatenate([here, mates.valid, jnp.repeat(here, FRONTIERS, 1)], 1)
+        always = jnp.ones((robots, FRONTIERS + self.holds), bool)
+        real = jnp.concatenate([always[:, :1], mates.valid, always], 1)
         # The base is always a goal; without a way there a robot waits.
         return goals.replace(valid=(goals.valid & real).at[:, 0].set(True))
 
@@ -369,6 +378,8 @@ class GoalTeam(TeamTask):
         """Return the belief with the next position on each robot's way, and where that leads."""
         belief, extra = memory.belief, memory.extra
         waypoint = jax.vmap(next_on_way)(extra.way, belief.pose[:, :2])
+        if self.holds:
+            waypoint = jnp.where((extra.chosen == HOLD)[:, None], belief.pose[:, :2], waypoint)
         goal, length = (_picked(x, extra.chosen) for x in (extra.goals.position, extra.goals.length))
         return belief.replace(waypoint=waypoint, goal=goal, path_length=length)
 
@@ -497,7 +508,7 @@ class GoalTeam(TeamTask):
         """See `goal_features`; with wheels, the way of `TeamTask` before it."""
         belief, extra, scene = memory.belief, memory.extra, view.scene
         base, robots = station_slot(scene), scene.num_robots
-        linked = _linked(view)
+        linked = self.signals(view)
         free, news = (belief.squares == FREE).sum((1, 2)).astype(jnp.float32), self.news(belief)
         left = 1 - memory.step / self.episode_steps
         seconds = left * self.episode_steps * self.repeat * scene.physics.period
@@ -524,13 +535,17 @@ class GoalTeam(TeamTask):
                 belief,
                 extra.goals,
                 extra.chosen,
-                GoalView(base, view.time, seconds, untold),
+                GoalView(base, view.time, seconds, untold, self.mate_goals),
             ),
             *([extra.picture.reshape(robots, -1)] if self.pictures else []),
             extra.goals.valid,
         ]
         way = [] if self.discrete else [self.controller_input(memory.replace(belief=self.followed(memory)))]
         return jnp.concatenate([*way, *rows], -1).astype(jnp.float32)
+
+    def signals(self, view: TaskView) -> jax.Array:
+        """Return what robots observe of links (robots, robots): by default whether there are any."""
+        return _linked(view)
 
     def baseline_obs(
         self, scene: Scene, memory: TeamMemory, obs: tuple[jax.Array, ...]

@@ -18,7 +18,7 @@ from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import Belief, other_slots, update_base_contact
-from usarmjx.train.mapping.maps import to_robot_frame
+from usarmjx.train.mapping.maps import MapGrid, to_robot_frame
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, passable
 from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.equip import base_station, mapping_robot
@@ -108,33 +108,17 @@ class RelayChain(TeamTask):
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Measure how deep the building is."""
         memory = super().start(view, key)
-        grid, base = self.arena_grid(view.scene), station_slot(view.scene)
-        here = grid.index(memory.belief.pose[base, :2])
-        inside = memory.reachable.at[here[0], here[1]].set(True)
-        begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
-        far = distances(begin, inside)
-        there = memory.reachable & (far < UNREACHABLE)
-        deepest = jnp.where(there, far, 0.0).max()
-        chain = RelayChainState(
-            depth=jnp.where(there, far / jnp.maximum(deepest, 1.0), 0.0),
-            linked=jnp.zeros(view.scene.num_robots, bool),
-        )
-        return memory.replace(extra=chain)
+        return memory.replace(extra=first_chain(view, memory, self.arena_grid(view.scene)))
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """Depth of the chain."""
         scene, grid = view.scene, self.arena_grid(view.scene)
         memory, _, begun = self.advance(view, memory)
-        chain, agents = memory.extra, self.agents(scene)
-        linked = reachable(jnp.asarray(view.links.in_range), station_slot(scene))
-        depths = jnp.zeros(scene.num_robots)
-        for g, group in enumerate(scene.groups):
-            there = grid.index(view.robots(g).pos[:, :2])
-            depths = depths.at[group.slots].set(chain.depth[there[:, 0], there[:, 1]])
-        reach = jnp.where(linked, depths, 0.0).max()
+        agents, (chain, depths) = self.agents(scene), chain_now(view, memory.extra, grid)
+        linked, reach = chain.linked, jnp.where(chain.linked, depths, 0.0).max()
         gain, contacts = 100.0 * reach / self.episode_steps, self.price * begun
         score = memory.score + gain - contacts.sum()
-        memory = memory.replace(extra=chain.replace(linked=linked), score=score)
+        memory = memory.replace(extra=chain, score=score)
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, gain / len(agents) - contacts),
@@ -150,8 +134,7 @@ class RelayChain(TeamTask):
 
     def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Points for depth, and the contacts'."""
-        depth = 100.0 * np.cumsum(series["reach"], axis=0) / self.episode_steps
-        return {"depth": depth, **super().score_parts(series)}
+        return {"depth": depth_points(series, self.episode_steps), **super().score_parts(series)}
 
     @property
     def most_points(self) -> dict[str, float]:
@@ -163,16 +146,50 @@ class RelayChain(TeamTask):
         belief, robots = memory.belief, view.scene.num_robots
         home = to_robot_frame(belief.pose, belief.pose[station_slot(view.scene), :2]) / POSITION_SCALE
         age = jnp.clip((view.time - belief.base_contact_time) / 60.0, 0.0, 1.0)[:, None]
-        others = other_slots(robots)
-        rows = jnp.arange(robots)[:, None]
-        # A robot's radio knows its own cutoff, also where that differs between worlds.
-        cutoff = 0.0 if self.radio is None else world_radio(view.scene, view.world).cutoff
-        margin = jnp.clip((view.links.power[rows, others] - cutoff) / SIGNAL_SCALE, -1.0, 1.0)
+        margin = power_margins(view)[jnp.arange(robots)[:, None], other_slots(robots)]
         return jnp.concatenate([super().observations(view, memory), home, age, margin], -1)
 
     def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and who reaches the base."""
         return jnp.concatenate([super().privileged(view, memory), memory.extra.linked])
+
+
+def first_chain(view: TaskView, memory: TeamMemory, grid: MapGrid) -> RelayChainState:
+    """Return how deep the squares of a building are, before any robot reaches the base."""
+    here = grid.index(memory.belief.pose[station_slot(view.scene), :2])
+    inside = memory.reachable.at[here[0], here[1]].set(True)
+    begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
+    far = distances(begin, inside)
+    there = memory.reachable & (far < UNREACHABLE)
+    deepest = jnp.where(there, far, 0.0).max()
+    return RelayChainState(
+        depth=jnp.where(there, far / jnp.maximum(deepest, 1.0), 0.0),
+        linked=jnp.zeros(view.scene.num_robots, bool),
+    )
+
+
+def chain_now(view: TaskView, chain: RelayChainState, grid: MapGrid) -> tuple[RelayChainState, jax.Array]:
+    """Return the chain with who reaches the base now, and the true depths of all robots (robots,)."""
+    scene, depths = view.scene, jnp.zeros(view.scene.num_robots)
+    for g, group in enumerate(scene.groups):
+        there = grid.index(view.robots(g).pos[:, :2])
+        depths = depths.at[group.slots].set(chain.depth[there[:, 0], there[:, 1]])
+    linked = reachable(jnp.asarray(view.links.in_range), station_slot(scene))
+    return chain.replace(linked=linked), depths
+
+
+def depth_points(series: Mapping[str, np.ndarray], steps: int) -> np.ndarray:
+    """Return the points for depth after each step (steps, ...) of episodes of some steps."""
+    return 100.0 * np.cumsum(series["reach"], axis=0) / steps
+
+
+def power_margins(view: TaskView) -> jax.Array:
+    """Return the powers received above the cutoff (robots, robots) (1: `SIGNAL_SCALE`), from -1 to 1.
+
+    A robot's radio knows its own cutoff, also where that differs between worlds.
+    """
+    cutoff = 0.0 if view.scene.radio is None else world_radio(view.scene, view.world).cutoff
+    return jnp.clip((jnp.asarray(view.links.power) - cutoff) / SIGNAL_SCALE, -1.0, 1.0)
 
 
 def _outward(gap: jax.Array, squares: jax.Array) -> jax.Array:
