@@ -141,7 +141,7 @@ def tasks() -> Listing:
 
 def policies() -> Listing:
     """Return the policies that come with the package: trained ones, and baselines."""
-    from usarmjx.train.baselines import BASELINES
+    from usarmjx.train.baselines import BASELINES, PLANNERS
     from usarmjx.train.policies import POLICIES
     from usarmjx.train.policies.policy_file import NumpyPolicy
 
@@ -149,7 +149,9 @@ def policies() -> Listing:
     for name, file in POLICIES:
         groups = ", ".join(f"{one['name']} ({len(one['agents'])})" for one in NumpyPolicy(file).groups)
         rows.append((name, "packaged", groups, f"usarmjx play {name} --view"))
-    rows += [(name, "baseline", "", f"usarmjx play --baseline {name} --view") for name in BASELINES.names()]
+    for name in BASELINES.names():
+        task = " --task explore" if name in PLANNERS else ""
+        rows.append((name, "baseline", "", f"usarmjx play --baseline {name}{task} --view"))
     return Listing(columns=("policy", "made", "robots", "to see it"), rows=rows, title="Policies")
 
 

@@ -23,6 +23,7 @@ from usarmjx.train.envs.task import Policy
 
 __all__ = [
     "BASELINES",
+    "PLANNERS",
     "BugCarry",
     "bug_action",
     "bug_policy",
@@ -52,6 +53,15 @@ BASELINES.add("explore-v3", reporting_policy)
 BASELINES.add("victim-search-v3", courier_policy)
 BASELINES.add("relay-chain-v1", relay_policy)
 BASELINES.add("relay-chain-v3", chain_policy)
+PLANNERS: dict[str, Callable[[Env], Policy]] = {
+    "frontier": silent_policy,
+    "courier": courier_policy,
+    "rendezvous": rendezvous_policy,
+    "chain": chain_policy,
+}
+"""Planners of any task whose robots choose goals; `BASELINES` has them too, for a task that is named."""
+for planner, policy in PLANNERS.items():
+    BASELINES.add(planner, policy)
 BASELINES.add("convoy", pursuit_policy)
 BASELINES.add("stairs", climb_policy)
 BASELINES.add("hover-inspect", inspection_policy)

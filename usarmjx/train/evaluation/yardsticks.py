@@ -24,9 +24,8 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import Estimate, estimate_groups
 from usarmjx.base.tables import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.train.baselines import BASELINES
-from usarmjx.train.baselines.goals import reporting_policy, silent_policy
-from usarmjx.train.baselines.meetings import courier_policy, rendezvous_policy
+from usarmjx.train.baselines import BASELINES, PLANNERS
+from usarmjx.train.baselines.goals import reporting_policy
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -165,9 +164,7 @@ TEAMS: dict[str, Team] = {
 
 
 GOAL_TEAMS: dict[str, Team] = {
-    "frontier": (unchanged, silent_policy),
-    "courier": (unchanged, courier_policy),
-    "rendezvous": (unchanged, rendezvous_policy),
+    **{name: (unchanged, planner) for name, planner in PLANNERS.items()},
     "oracle": (knowing, reporting_policy),
 }
 """Further ones for teams that choose goals: robots that never go home, that meet there at agreed times, and
@@ -188,7 +185,8 @@ def default_teams(task: str) -> tuple[str, ...]:
     """Return the names of `TEAMS` that can play a task: no policy is packaged for some."""
     chooses = task in TASKS and isinstance(TASKS.get(task), GoalTeam)
     usual = tuple(name for name in TEAMS if name != "packaged" or packaged_name(task) in POLICIES)
-    return usual + tuple(GOAL_TEAMS) * chooses
+    # A chain stays near its base, which pays in relay-chain only, whose baseline it is.
+    return usual + tuple(name for name in GOAL_TEAMS if name != "chain") * chooses
 
 
 def find_team(name: str) -> Team:

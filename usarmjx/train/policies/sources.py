@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import parse_assignments
-from usarmjx.train.baselines import BASELINES
+from usarmjx.train.baselines import BASELINES, PLANNERS
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.membership import building_label, training_note
 from usarmjx.train.envs.recipe import TEST, GeneratedArenas
@@ -510,4 +510,6 @@ def baseline(name: str, task: str | None = None) -> PolicySource:
         UsageError: An own task that has none, or cannot be imported.
     """
     found = find_baseline(name, task)
+    if task is None and found in PLANNERS:
+        raise UsageError(f"{found} is a planner of several tasks: name one, --task explore")
     return PolicySource(name=found, task=newest_name(task or found), named=True)
