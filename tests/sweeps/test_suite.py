@@ -1,6 +1,8 @@
 """Suites: results files of runs, standings of methods, the leaderboard, a replay."""
 
+from collections import Counter
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Resampler
 from usarmjx.cli.app import app
 from usarmjx.sweeps.figures import plot_profiles
+from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.spec import find_suite
 from usarmjx.sweeps.standings import (
     leaderboard_page,
@@ -91,7 +94,7 @@ def test_the_bundled_suite_asks_for_held_out_buildings_that_do_not_depend_on_the
     with pytest.raises(UsageError, match="split 'train', expected one of validation, test"):
         suite.spec("train", "mine", ["random"])
     with pytest.raises(
-        UsageError, match="no-such is no file, and no bundled suite; those are: drive-v1, teams-v1"
+        UsageError, match="no-such is no file, and no bundled suite; those are: drive-v1, teams-v1, teams-v3"
     ):
         find_suite("no-such")
 
@@ -165,6 +168,33 @@ def played(tmp_path_factory):
     file = folder / "tiny.yaml"
     file.write_text(yaml.safe_dump(content))
     return file, run_suite(load_suite(file), "validation", "planner", ["baseline"], folder / "results")
+
+
+GOAL_TASKS = ["explore-v3", "victim-search-v3", "relay-chain-v3"]
+
+
+def test_the_suite_of_teams_that_choose_goals_has_all_sizes_and_radios():
+    """Three tasks, teams of 2, 4, 8, three cutoffs; buildings of three sizes, as many of each."""
+    spec = load_suite(find_suite("teams-v3")).spec("test", "mine", ["baseline"])
+    cells = [(one["task"], one["roster"]["P2AT"], one["radio.cutoff"]) for one in spec.cells]
+    assert sorted(cells) == sorted(product(GOAL_TASKS, (2, 4, 8), (-43, -49, -1e6)))
+    found = resolve(spec.cells[0])
+    sizes = Counter(label.rpartition("-")[0] for label in found.labels)
+    assert (found.task.count, found.levels, set(sizes.values())) == (2, 3, {16})
+    assert len(sizes) == 3
+
+
+@pytest.mark.thorough
+def test_a_planner_plays_the_suite_of_teams_that_choose_goals(tmp_path):
+    """In small buildings, two robots and few steps."""
+    whole = load_suite(find_suite("teams-v3"))
+    small = {"arena.size": [5, 4], "fields.episode_steps": 3, "roster": {"P2AT": 2}}
+    few = replace(whole, file=replace(whole.file, product={"radio.cutoff": [-49]}))
+    (file,) = run_suite(few, "validation", "courier", ["baseline:courier"], tmp_path, episodes=1, **small)
+    found = read_result(file)
+    assert [one.settings["task"] for one in found.cells] == GOAL_TASKS
+    assert {str(one.settings["policy"]) for one in found.cells} == {"{'baseline': 'courier'}"}
+    assert all(np.isfinite(one.scores).all() and one.steps == (3,) for one in found.cells)
 
 
 def test_a_replay_plays_the_same_episodes_to_the_bit(played):
