@@ -5,7 +5,7 @@ import copy
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib import import_module
 from types import FunctionType, SimpleNamespace
 from typing import Any
@@ -214,26 +214,36 @@ for _mode, _suffix in (("WARP", ""), ("WARP_STAGED", "-staged"), ("WARP_STAGED_E
 def _with_globals(function: Callable[..., None], **changed: object) -> Callable[..., Any]:
     """Return a copy of a function in which some globals of its module are replaced."""
     seen = {**function.__globals__, **changed}
-    copied = FunctionType(function.__code__, seen, function.__name__)
+    copied = FunctionType(function.__code__, seen, function.__name__, function.__defaults__)
     copied.__annotations__, copied.__module__ = function.__annotations__, function.__module__
     return copied
 
 
-def _step_by_blocks() -> Callable[..., Any]:
-    """Return MuJoCo Warp's step with solver `block` in place of its own."""
+def _step_by_blocks(broad_phase: Callable[..., None] | None = None) -> Callable[..., Any]:
+    """Return MuJoCo Warp's step with solver `block`, and maybe a broad phase, in place of its own."""
     solve = import_module("usarmjx.engines.block.solver").solve
     forward = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward")
-    dynamics = _with_globals(forward.forward.__wrapped__, solver=SimpleNamespace(solve=solve))
+    changed: dict[str, object] = {"solver": SimpleNamespace(solve=solve)}
+    if broad_phase is not None:
+        driver = forward.collision_driver
+        collision = _with_globals(driver.collision.__wrapped__, nxn_broadphase=broad_phase)
+        changed["fwd_position"] = _with_globals(
+            forward.fwd_position.__wrapped__, collision_driver=SimpleNamespace(collision=collision)
+        )
+    dynamics = _with_globals(forward.forward.__wrapped__, **changed)
     return _with_globals(forward.step.__wrapped__, forward=dynamics)
 
 
 @cache
-def multi_step(count: int, block: bool) -> Callable[[Any, Any], Any]:
+def multi_step(
+    count: int, block: bool, broad_phase: Callable[..., None] | None = None
+) -> Callable[[Any, Any], Any]:
     """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
 
     Args:
         count: Physics steps.
         block: Whether solver `block` takes the place of MuJoCo Warp's.
+        broad_phase: The broad phase of that solver; None: MuJoCo Warp's.
 
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
@@ -241,7 +251,7 @@ def multi_step(count: int, block: bool) -> Callable[[Any, Any], Any]:
     check_mjx_version()
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
 
-    one_step = _step_by_blocks() if block else forward.mjwarp.step
+    one_step = _step_by_blocks(broad_phase) if block else forward.mjwarp.step
     replay = LaunchReplay(one_step)
 
     def run_kernels(model: object, data: object) -> None:
@@ -411,9 +421,20 @@ class WarpEngine(MjxEngine):
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
         count, block = self.physics.substeps, self.solver == "block"
+        broad_phase = self._broad_phase if block else None
         if self._graphs.control_step or jax.default_backend() == "cpu":
-            return multi_step(count, block), 1
-        return (multi_step(1, True), count) if block else super()._step_and_count()
+            return multi_step(count, block, broad_phase), 1
+        return (multi_step(1, True, broad_phase), count) if block else super()._step_and_count()
+
+    @cached_property
+    def _broad_phase(self) -> Callable[..., None]:
+        """Return the broad phase of solver `block`."""
+        block, impl = import_module("usarmjx.engines.block.broad_phase"), self.mx._impl
+        pairs, own = np.asarray(impl.nxn_geom_pair_filtered), np.asarray(impl.nxn_pairid_filtered)
+        device = (
+            None if jax.default_backend() == "cpu" else import_module("warp").device_from_jax(local_device())
+        )
+        return block.BroadPhase(block.make_table(self.model, pairs, (own >= 0).any(1)), device)
 
     def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a step function that blocks on a CPU: `block_until_finished` misses dropped results."""

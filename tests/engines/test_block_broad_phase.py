@@ -1,0 +1,101 @@
+"""Broad phase of solver `block` beside MuJoCo Warp's and the contacts of C MuJoCo."""
+
+from importlib import import_module
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("warp", reason="needs warp-lang")
+
+from benchmarks.islands.rows import exact
+from benchmarks.islands.states import StateMaker
+from usarmjx.engines.block.broad_phase import BroadPhase, make_table
+from usarmjx.models.compile.physics import Physics
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+
+DRIVER = "mujoco.mjx.third_party.mujoco_warp._src.collision_driver"
+ROOM = 4000
+"""Pairs of geoms of all worlds."""
+
+
+def states(arena: str, roster: list[str], count: int) -> tuple[mujoco.MjModel, list[Any]]:
+    """Return a model and states of all kinds, with the pairs of geoms between which C MuJoCo has contacts."""
+    scene = build_scene(arena, roster, Physics(solver="block"))
+    model = exact(scene.model)
+    maker, rng, found = StateMaker(model, scene.arena, len(roster)), np.random.default_rng(3), []
+    for kind in maker.kinds:
+        for data in maker.trajectory(kind, rng, count):
+            touching = {tuple(sorted(pair)) for pair in data.contact.geom.tolist()}
+            found.append(SimpleNamespace(qpos=data.qpos.copy(), touching=touching))
+    return model, found
+
+
+def near_pairs(m: Any, d: Any, broad_phase: Any) -> list[set[tuple[int, int]]]:
+    """Return the pairs of geoms that a broad phase lists in each world."""
+    context = import_module(DRIVER).create_collision_context(ROOM)
+    d.ncollision.zero_()
+    broad_phase(m, d, context)
+    count = int(d.ncollision.numpy()[0])
+    assert count < ROOM
+    pairs, world = (x.numpy()[:count] for x in (context.collision_pair, context.collision_worldid))
+    listed = [[tuple(sorted(pair)) for pair in pairs[world == w].tolist()] for w in range(d.nworld)]
+    assert all(len(one) == len(set(one)) for one in listed), "no pair twice"
+    return [set(one) for one in listed]
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(
+    ("arena", "roster"),
+    [("yellow", ["P2AT", "Talon", "P2DX"]), ("soccer", ["Sedan", "QRIO"]), ("field", ["AirRobot", "Lisa"])],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_pairs_are_those_of_mujoco_warp_but_for_some_far_apart(arena: str, roster: list[str]):
+    model, found = states(arena, roster, 3)
+    mjw = import_module("mujoco.mjx.third_party.mujoco_warp")
+    m, d = mjw.put_model(model), mjw.make_data(model, nworld=len(found), naconmax=ROOM, njmax=400)
+    d.qpos.assign(np.array([one.qpos for one in found], np.float32))
+    mjw.kinematics(m, d)
+    own = (m.nxn_pairid_filtered.numpy() >= 0).any(1)
+    table = make_table(model, m.nxn_geom_pair_filtered.numpy(), own)
+    ours, theirs = (
+        near_pairs(m, d, one) for one in (BroadPhase(table), import_module(DRIVER).nxn_broadphase)
+    )
+    assert sum(len(one.touching) for one in found) > 50
+    data = mujoco.MjData(model)
+    for one, mine, other in zip(found, ours, theirs, strict=True):
+        assert one.touching <= mine <= other
+        data.qpos[:] = one.qpos
+        mujoco.mj_kinematics(model, data)
+        for a, b in other - mine:
+            assert mujoco.mj_geomDistance(model, data, a, b, 1.0, None) > 0.0
+    tests = len(table.groups) * len(found)
+    assert sum(map(len, ours)) >= 0.5 * sum(map(len, theirs))
+    assert tests < 0.7 * len(own) * len(found)
+
+
+def test_a_pair_with_settings_of_its_own_is_always_tested():
+    model = build_scene("yellow", ["P2AT"]).model
+    pairs = np.array([[0, model.ngeom - 1], [1, model.ngeom - 1]])
+    table = make_table(model, pairs, np.array([True, False]))
+    assert table.groups.tolist()[0] == [-1, -1]
+    assert table.order.tolist() == [0, 1]
+    assert table.first_pair.tolist() == [0, 1, 2]
+
+
+@pytest.mark.oracle
+def test_robots_drive_on_the_engine_as_on_c():
+    """The whole step of engine `warp`, within 1e-5 m or rad of C MuJoCo's Newton after 0.2 s."""
+    ways = []
+    for engine in ("c", "warp"):
+        batch = Batch(build_scene("yellow", ["P2AT", "P2DX"], Physics(solver="block")), 1, engine=engine)
+        state = batch.drive(batch.reset(0), 0, {"Left": 2.0, "Right": 1.0})
+        start = np.asarray(batch.physics(state).qpos)
+        for _ in range(4):
+            state = batch.step(state)
+        ways.append(np.asarray(batch.physics(state).qpos) - start)
+    assert np.abs(ways[0]).max() > 0.05
+    np.testing.assert_allclose(ways[1], ways[0], atol=1e-5)
