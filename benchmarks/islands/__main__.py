@@ -34,6 +34,8 @@ BOUND = 1e-4
 """Most relative error of an acceleration."""
 LENGTH = 8
 """States of a trajectory; a round has a trajectory of each kind."""
+WORST = 12
+"""States that a record lists."""
 EDGES = np.arange(-8.0, 0.5, 0.5)
 """Of the histograms: decimal logarithms of errors."""
 MEASURES = {"island": errors, "root": root_errors}
@@ -145,11 +147,25 @@ def summary(lines: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "histogram": {
             name: np.sum([line["histogram"][name] for line in lines], 0).tolist() for name in MEASURES
         },
-        "beyond": [
-            {key: line[key] for key in ("arena", "robot", "other", "round", "cone")} | one
-            for line in lines
-            for one in line["beyond"]
-        ],
+        "beyond": _beyond(lines),
+    }
+
+
+def _beyond(lines: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return how many states are beyond the bound, the parts of their errors, and the worst of them."""
+    keys = ("arena", "robot", "other", "round")
+    found = [{key: line[key] for key in keys} | one for line in lines for one in line["beyond"]]
+    found.sort(key=lambda one: -one["island"])
+    parts = {
+        part: {name: max((one[part][name] for one in found), default=0.0) for name in MEASURES}
+        for part in ("solver", "rounding", "c")
+    }
+    return {
+        "states": len(found),
+        "by_measure": {name: sum(one[name] > BOUND for one in found) for name in MEASURES},
+        "solver_beyond": {name: sum(one["solver"][name] > BOUND for one in found) for name in MEASURES},
+        "most": parts,
+        "worst": found[:WORST],
     }
 
 
@@ -185,16 +201,25 @@ def main(argv: Sequence[str]) -> int:
         if line["beyond"]:
             print(f"{arena} {robot}: {len(line['beyond'])} beyond, {line['worst']}", flush=True)
     file.close()
-    told = summary(lines)
-    case = {"bound": BOUND, "cones": options.cones, "kinds": list(told["by_kind"]), "length": options.length}
+    beyond = 0
+    for cone in options.cones:
+        mine = [line for line in lines if line["cone"] == cone]
+        beyond += report(mine, options, header) if mine else 0
+    return int(bool(beyond))
+
+
+def report(lines: Sequence[dict[str, Any]], options: argparse.Namespace, header: dict[str, Any]) -> int:
+    """Append the record of a cone to the file, and return the number of states beyond the bound."""
+    told, cone = summary(lines), lines[0]["cone"]
+    case = {"bound": BOUND, "cone": cone, "kinds": list(told["by_kind"]), "length": options.length}
     baselines = {"c": {"what": "C MuJoCo's Newton solver, tolerance 1e-10, on the same rows"}}
     record = {**header, "case": case, "scene": None, "rates": {}, "baselines": baselines, **told}
     append_record(record, options.json)
     print(
-        f"{told['states']} states of {told['pairs']} pairs, {told['touching']} in contact; "
-        f"worst {told['worst']}; {len(told['beyond'])} beyond {BOUND}"
+        f"{cone}: {told['states']} states of {told['pairs']} pairs, {told['touching']} in contact; "
+        f"worst {told['worst']}; {told['beyond']['states']} beyond {BOUND}"
     )
-    return int(bool(told["beyond"]))
+    return told["beyond"]["states"]
 
 
 if __name__ == "__main__":

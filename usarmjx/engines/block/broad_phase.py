@@ -196,8 +196,10 @@ class BroadPhase:
     """
 
     def __init__(self, table: Table, device: Any = None) -> None:  # noqa: ANN401
+        array: Any = wp.array
+
         def put(value: np.ndarray, kind: Any = int) -> Any:  # noqa: ANN401
-            return wp.array(np.ascontiguousarray(value, np.int32), dtype=kind, device=device)
+            return array(np.ascontiguousarray(value, np.int32), dtype=kind, device=device)
 
         self._geoms, self._first_geom = put(table.geoms), put(table.first_geom)
         self._order, self._first_pair = put(table.order), put(table.first_pair)
