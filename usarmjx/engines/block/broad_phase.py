@@ -188,7 +188,7 @@ def pairs_kernel(
 
 
 class BroadPhase:
-    """Function in place of MuJoCo Warp's `nxn_broadphase`.
+    """Function in place of MuJoCo Warp's broad phase of all pairs.
 
     Args:
         table: Pairs of geoms of the model.
