@@ -118,71 +118,33 @@ def pairs_kernel(
         driver._add_geom_pair,
     )
 
+    # fmt: off
     @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
     def near_pairs(  # noqa: PLR0913 - as above
-        geom_type: wp.array[int],
-        aabb: wp.array3d[wp.vec3],
-        rbound: wp.array2d[float],
-        margin: wp.array2d[float],
-        gap: wp.array2d[float],
-        own_margin: wp.array2d[float],
-        own_gap: wp.array2d[float],
-        pairs: wp.array[wp.vec2i],
-        ids: wp.array[wp.vec2i],
-        groups: wp.array[wp.vec2i],
-        first: wp.array[int],
-        order: wp.array[int],
-        low: wp.array2d[wp.vec3],
-        high: wp.array2d[wp.vec3],
-        xpos: wp.array2d[wp.vec3],
-        xmat: wp.array2d[wp.mat33],
-        room: int,
-        count_out: wp.array[int],
-        pair_out: wp.array[wp.vec2i],
-        id_out: wp.array[wp.vec2i],
+        geom_type: wp.array[int], aabb: wp.array3d[wp.vec3], rbound: wp.array2d[float],
+        margin: wp.array2d[float], gap: wp.array2d[float],
+        own_margin: wp.array2d[float], own_gap: wp.array2d[float],
+        pairs: wp.array[wp.vec2i], ids: wp.array[wp.vec2i],
+        groups: wp.array[wp.vec2i], first: wp.array[int], order: wp.array[int],
+        low: wp.array2d[wp.vec3], high: wp.array2d[wp.vec3],
+        xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33], room: int,
+        count_out: wp.array[int], pair_out: wp.array[wp.vec2i], id_out: wp.array[wp.vec2i],
         world_out: wp.array[int],
     ) -> None:
+        # fmt: on
         world, which = wp.tid()
         one, other = groups[which][0], groups[which][1]
         if one >= 0:
-            low_one, high_one = low[world, one], high[world, one]
-            low_other, high_other = low[world, other], high[world, other]
             for i in range(3):
-                if low_one[i] > high_other[i] or low_other[i] > high_one[i]:
+                if low[world, one][i] > high[world, other][i] or low[world, other][i] > high[world, one][i]:
                     return
         for k in range(first[which], first[which + 1]):
-            pair = pairs[order[k]]
-            own_id = ids[order[k]]
-            if (
-                near(
-                    aabb,
-                    rbound,
-                    margin,
-                    gap,
-                    own_margin,
-                    own_gap,
-                    xpos,
-                    xmat,
-                    pair[0],
-                    pair[1],
-                    own_id[0],
-                    world,
-                )
-                or own_id[1] >= 0
+            a, b, own_id = pairs[order[k]][0], pairs[order[k]][1], ids[order[k]]
+            if own_id[1] >= 0 or near(
+                aabb, rbound, margin, gap, own_margin, own_gap, xpos, xmat, a, b, own_id[0], world
             ):
-                add(
-                    room,
-                    pair[0],
-                    pair[1],
-                    geom_type[pair[0]],
-                    geom_type[pair[1]],
-                    world,
-                    own_id,
-                    count_out,
-                    pair_out,
-                    id_out,
-                    world_out,
-                )
+                kinds = wp.vec2i(geom_type[a], geom_type[b])
+                add(room, a, b, kinds[0], kinds[1], world, own_id, count_out, pair_out, id_out, world_out)
 
     return near_pairs
 
