@@ -311,12 +311,16 @@ class CompileNotice:
     Args:
         write: Takes the line.
         at_work: Whether a thread, by number, compiles just now.
+        is_quiet: Whether the line is kept away, asked when work begins.
     """
 
     def __init__(
-        self, write: Callable[[str], None] = write_line, at_work: Callable[[int], bool] = is_compiling
+        self,
+        write: Callable[[str], None] = write_line,
+        at_work: Callable[[int], bool] = is_compiling,
+        is_quiet: Callable[[], bool] = bool,
     ) -> None:
-        self._write, self._at_work = write, at_work
+        self._write, self._at_work, self._is_quiet = write, at_work, is_quiet
         self._lock = threading.Lock()
         self._subject = ""
         self._building = 0
@@ -330,6 +334,7 @@ class CompileNotice:
         Args:
             subject: A few words. While something is being built, its subject stays.
         """
+        self.shown = self.shown or self._is_quiet()
         if self.shown or self._building:
             return
         self._subject = subject
@@ -406,6 +411,5 @@ def _is_quiet() -> bool:
     return asked not in ("", "0") or multiprocessing.parent_process() is not None
 
 
-NOTICE = CompileNotice()
+NOTICE = CompileNotice(is_quiet=_is_quiet)
 """The notice of this process."""
-NOTICE.shown = _is_quiet()
