@@ -1,14 +1,19 @@
 """`benchmarks.islands`: solver `block` beside C MuJoCo on a sample of the states, and the benchmark."""
 
+import json
+
 import numpy as np
 import pytest
 
 pytest.importorskip("warp", reason="needs warp-lang")
 
+import dev
 from benchmarks.islands import __main__ as islands
 from benchmarks.islands import rows
 from benchmarks.islands.compare import errors
 from benchmarks.islands.states import StateMaker
+from tests.benchmarks.records import faults
+from usarmjx.models import ARENAS, ROBOTS
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.scene import build_scene
 
@@ -48,3 +53,19 @@ def test_an_error_is_found_and_so_is_its_cause():
     assert found["solver"]["root"] == pytest.approx(0.5 / size, rel=0.01)
     assert found["rounding"]["root"] < 1e-5
     assert found["c"]["root"] < 1e-5
+
+
+def test_the_records_have_all_robots_in_all_arenas():
+    """On the elliptic cone the solver is exact; on pyramids of little friction rounding decides."""
+    lines = (dev.ROOT / "benchmarks" / "results" / "islands.jsonl").read_text(encoding="utf-8").splitlines()
+    records = {record["case"]["cone"]: record for record in map(json.loads, lines)}
+    assert sum(record["states"] for record in records.values()) >= 100_000
+    for record in records.values():
+        assert not faults(record)
+        assert record["pairs"] == len(ROBOTS.names()) * len(ARENAS.names())
+        assert min(record["by_kind"].values()) > 7000
+        assert record["beyond"]["most"]["c"]["island"] < 2e-4
+    elliptic = records["elliptic"]["beyond"]
+    assert elliptic["solver_beyond"]["island"] == 0
+    assert elliptic["most"]["solver"]["island"] < 1e-5
+    assert elliptic["by_measure"]["island"] < 1e-3 * records["elliptic"]["states"]
