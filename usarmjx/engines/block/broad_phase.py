@@ -21,7 +21,7 @@ DRIVER = "mujoco.mjx.third_party.mujoco_warp._src.collision_driver"
 FAR = wp.constant(1e6)
 """Half size of the box of a plane [m]."""
 SLACK = wp.constant(1e-4)
-"""What boxes are larger by, as MuJoCo Warp's test of the same geoms rounds otherwise [m]."""
+"""Slack of the boxes for roundings [m]."""
 ANY = -1
 """Group of pairs that are always tested: those with margins of their own."""
 
