@@ -20,7 +20,7 @@ from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.control import joint_efforts
 
-MAX_TEAM = 16
+MAX_TEAM = 8
 """Most robots of a class that report in one control step: more would make that step a long one."""
 
 
