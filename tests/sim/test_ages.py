@@ -74,9 +74,12 @@ SOME = ("IMU", "INS", "Odometry", "Encoder", "GroundTruth", "Sonar", "Battery")
     ("engine", "kinds"),
     [
         *((engine, SOME) for engine in ("c", "planar", "jax", "warp")),
-        *(pytest.param(engine, SENSORS.names(), marks=pytest.mark.thorough) for engine in ("c", "planar")),
+        *(
+            pytest.param(engine, SENSORS.names(), marks=pytest.mark.thorough)
+            for engine in ("c", "planar", "warp")
+        ),
     ],
-    ids=["c", "planar", "jax", "warp", "c-every", "planar-every"],
+    ids=["c", "planar", "jax", "warp", "c-every", "planar-every", "warp-every"],
 )
 def test_batched_sensors_read_the_same_bits_at_any_age(engine, kinds):
     if engine == "warp":

@@ -37,9 +37,12 @@ RESIDUAL = {"IMU": SHAKING, "AHRS": SHAKING, "Magnetometer": 1e-3}
 """Tolerances of types of sensors; 50 uT turned by `CREEP` are 1e-3 uT."""
 CREEP = 2e-5
 """Soft contacts creep: distance and angle in three seconds [m, rad]. All classes are below 1.5e-5."""
-NOISE = {"jax": 4.0}
-"""Factors on the tolerances: a P2DX that has stood for two seconds on MJX, in single precision, still wanders
-by 4e-5 rad and shakes by 0.018 rad/s2; its first readings are nearer to the mean than that."""
+MANY = 4
+"""Classes above which a test has `EVERY` class."""
+NOISE = {("jax", False): 4.0, ("warp", True): 10.0}
+"""Factors on the tolerances, by engine and whether every class is there. In single precision, a P2DX that has
+stood for two seconds on MJX still wanders by 4e-5 rad and shakes by 0.018 rad/s2; its first readings are
+nearer to the mean. On MuJoCo Warp, whose solver is capped, joints of the ERS settle by 1.4e-4 rad."""
 
 
 def quiet(kind):
@@ -154,9 +157,9 @@ def batch_of(names, engine, parked=False, vary=None):
     return Batch(build_scene(arena, roster, vary=vary), worlds=1, engine=engine)
 
 
-def stand_from_their_start_on(batch, state):
+def stand_from_their_start_on(batch, state, noise):
     """Assert it for a second, and that robots read first what they read when they have stood for one."""
-    first, noise = [], NOISE.get(batch.engine.name, 1.0)
+    first = []
     before = np.asarray(batch.physics(state).qpos)
     for step in range(SECOND + 1):
         if step <= FIRST or step == SECOND:
@@ -177,13 +180,14 @@ def stand_from_their_start_on(batch, state):
 
 def stand_from_each_reset_on(batch):
     """Assert that robots stand still after a reset, and after another one once they have driven."""
-    state = stand_from_their_start_on(batch, batch.reset(0))
+    noise = NOISE.get((batch.engine.name, len(batch.scene.groups) > MANY), 1.0)
+    state = stand_from_their_start_on(batch, batch.reset(0), noise)
     for group in range(len(batch.scene.groups)):
         ahead = dict.fromkeys(batch.scene.groups[group].robot.drive.keys, 1.0)
         state = batch.drive(state, group, ahead)
     for _ in range(FIRST):
         state = batch.step(state)
-    stand_from_their_start_on(batch, batch.reset_where(state, np.array([True])))
+    stand_from_their_start_on(batch, batch.reset_where(state, np.array([True])), noise)
 
 
 @pytest.mark.parametrize(
@@ -195,6 +199,7 @@ def stand_from_each_reset_on(batch):
         pytest.param("planar", PLANAR, marks=pytest.mark.thorough, id="planar-every"),
         pytest.param("jax", ("P2DX",), marks=pytest.mark.thorough),
         pytest.param("warp", ("P2DX", "Hummer"), marks=pytest.mark.thorough),
+        pytest.param("warp", EVERY, marks=pytest.mark.thorough, id="warp-every"),
     ],
 )
 def test_robots_of_batches_stand_still_from_each_reset_on(engine, names):
