@@ -17,7 +17,7 @@ def test_without_a_word_there_is_a_graph_for_each_physics_step(monkeypatch):
     engine = engine_of()
     before = engine.mx.opt._impl.graph_mode
     if jax.default_backend() == "cpu":
-        assert engine._step_and_count() == (multi_step(engine.physics.substeps, False), 1)
+        assert engine._step_and_count() == (multi_step(engine.physics.substeps, False, None), 1)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert engine._step_and_count()[1] == engine.physics.substeps == 4
     monkeypatch.undo()
