@@ -76,10 +76,10 @@ SOME = ("IMU", "INS", "Odometry", "Encoder", "GroundTruth", "Sonar", "Battery")
         *((engine, SOME) for engine in ("c", "planar", "jax", "warp")),
         *(
             pytest.param(engine, SENSORS.names(), marks=pytest.mark.thorough)
-            for engine in ("c", "planar", "warp")
+            for engine in ("c", "planar", "warp", "jax")
         ),
     ],
-    ids=["c", "planar", "jax", "warp", "c-every", "planar-every", "warp-every"],
+    ids=["c", "planar", "jax", "warp", "c-every", "planar-every", "warp-every", "jax-every"],
 )
 def test_batched_sensors_read_the_same_bits_at_any_age(engine, kinds):
     if engine == "warp":
