@@ -172,13 +172,16 @@ def steps_of(physics, cone):
     ids=["CG", "one step a call", "Newton", "block"],
 )
 def test_replayed_steps_have_the_bits_of_plain_ones(physics, cone, monkeypatch):
-    replayed = steps_of(physics, cone)
+    replayed, calls = steps_of(physics, cone), []
 
     def plain(self, model, data, count):
+        calls.append(count)
         for _ in range(count):
             self.function(model, data)
 
     monkeypatch.setattr(LaunchReplay, "run", plain)
-    for one, other in zip(replayed, steps_of(physics, cone), strict=True):
+    launched = steps_of(physics, cone)
+    assert calls == [physics.substeps] * (STEPS // physics.substeps), "the engine steps through it"
+    for one, other in zip(replayed, launched, strict=True):
         for a, b in zip(one, other, strict=True):
             np.testing.assert_array_equal(a, b)

@@ -35,4 +35,4 @@ def test_an_unknown_graph_is_refused_and_engines_without_any_refuse_all():
 def test_another_version_of_mjx_is_refused(monkeypatch):
     monkeypatch.setattr("usarmjx.engines.cylinder_box.MJX_VERSION", "3.16.0")
     with pytest.raises(EngineError, match=r"found mujoco-mjx .*; .* needs exactly 3\.16\.0"):
-        multi_step(17, False)
+        multi_step(17, False, None)

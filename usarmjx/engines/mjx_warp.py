@@ -219,7 +219,7 @@ def _with_globals(function: Callable[..., None], **changed: object) -> Callable[
     return copied
 
 
-def _step_by_blocks(broad_phase: Callable[..., None] | None = None) -> Callable[..., Any]:
+def _step_by_blocks(broad_phase: Callable[..., None] | None) -> Callable[..., Any]:
     """Return MuJoCo Warp's step with solver `block`, and maybe a broad phase, in place of its own."""
     solve = import_module("usarmjx.engines.block.solver").solve
     forward = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward")
@@ -235,9 +235,7 @@ def _step_by_blocks(broad_phase: Callable[..., None] | None = None) -> Callable[
 
 
 @cache
-def multi_step(
-    count: int, block: bool, broad_phase: Callable[..., None] | None = None
-) -> Callable[[Any, Any], Any]:
+def multi_step(count: int, block: bool, broad_phase: Callable[..., None] | None) -> Callable[[Any, Any], Any]:
     """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
 
     Args:
