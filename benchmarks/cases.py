@@ -215,6 +215,12 @@ class SceneOptions:
         str,
         typer.Option(help="Settings of the physics: reference, fast, sleeping (warp), coarse (planar)."),
     ] = "reference"
+    solver: Annotated[
+        str | None, typer.Option(help="Solver in place of that of --physics: CG, Newton, block (warp).")
+    ] = None
+    timestep: Annotated[
+        float | None, typer.Option(min=1e-4, help="Physics step in place of that of --physics [s].")
+    ] = None
     substeps: Annotated[
         int | None, typer.Option(min=1, help="Physics steps per control step; else those of 50 ms.")
     ] = None
