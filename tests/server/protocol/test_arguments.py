@@ -35,6 +35,18 @@ def test_every_argument_refuses_nonsense_and_says_what_it_may_be(head, key):
             parse_command(parse_message(line))
 
 
+VECTORS = [(head, key) for head, key in EVERY if ARGUMENTS[head][key].kind is ArgumentKind.VECTOR]
+
+
+@pytest.mark.parametrize(("head", "key"), [*VECTORS, ("CONTROL", "Speed")])
+@pytest.mark.parametrize("text", ["3", "3,1", "3 1", "3,1,1,1", "1,2,3,4,5,6", "3,,1"])
+def test_a_vector_has_three_numbers(head, key, text):
+    """An object would move to a place that nobody named, and KillAll would clear all of the arena."""
+    context = "{Type Rotate} {Name R1}" if key == "Speed" else CONTEXT.get(head, "")
+    with pytest.raises(PeerError, match=f"{key}.* is .*; expected (three )?numbers"):
+        parse_command(parse_message(f"{head} {{{key} {text}}} {context}"))
+
+
 @pytest.mark.parametrize(("head", "key"), EVERY)
 def test_every_argument_takes_what_controllers_send(head, key):
     name = "FRFlipper" if key == ANY_KEY else key

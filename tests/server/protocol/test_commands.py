@@ -340,7 +340,7 @@ UNDERSTOOD = [
         id="camera as SimpleUI has it",
     ),
     pytest.param("Camera {zoom 0}", TurnCamera(None, 0, 0.0), id="camera that only zooms"),
-    pytest.param("CAMERA {Order 1} {Rotation 0 .1}", TurnCamera((0.0, 0.1, 0.0), 1), id="camera by speed"),
+    pytest.param("CAMERA {Order 1} {Rotation 0 .1 0}", TurnCamera((0.0, 0.1, 0.0), 1), id="camera by speed"),
     pytest.param("Trace", Trace(False), id="trace with the manual's defaults"),
     pytest.param("GETCONF {Name F1} {Type Sonar}", GetConf("Sonar", "F1"), id="one item CONF"),
 ]

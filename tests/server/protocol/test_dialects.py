@@ -3,6 +3,7 @@
 import pytest
 
 from tests.models.ini.texts import load_texts
+from tests.server.peers import say
 from tests.server.still_world import StillWorld
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
@@ -165,6 +166,19 @@ def test_items_on_the_chassis_are_mounted_on_the_class_that_init_named():
         "{Name Cam} {Location 0.0000,0.0000,0.0000} {Orientation 0.0000,0.0000,0.0000} {Mount P3AT} {Link 1}"
         in package
     )
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"), [("USARBot.P3AT", "P3AT"), ("usarbot.p3at", "P3AT"), ("p2at", "P2AT")]
+)
+def test_a_robot_is_named_by_its_class_and_so_is_the_mount_of_its_items(asked, told):
+    """`self.Class` in WheeledVehicle.uc and `Platform.Class` in Sensor.uc are one word."""
+    client = Client(StillWorld(), "A", dialect=UDK)
+    say(client, f"INIT {{ClassName {asked}}} {{Name R}}")
+    assert say(client, "GETGEO {Type Sonar} {Name F1}")[0].endswith(f"{{Mount {told}}}")
+    for kind in ("GEO", "CONF"):
+        (line,) = say(client, f"GET{kind} {{Type Robot}}")
+        assert line.startswith(f"{kind} {{Type GroundVehicle}} {{Name {told}}} {{")
 
 
 def test_the_manual_knows_none_of_it():

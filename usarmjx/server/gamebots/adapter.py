@@ -24,7 +24,7 @@ from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.arguments import read_parameters
 from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
-from usarmjx.server.protocol.dialects import LATER_CLASSES, MANUAL, Dialect
+from usarmjx.server.protocol.dialects import LATER_CLASSES, MANUAL, Dialect, told_class
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import AUTH, Message, clip, four_decimals, redact
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
@@ -189,6 +189,7 @@ class Client:
         except UsageError as error:
             self.session.note_refusal(_in_wire_axes(error))
             return False
+        self.session.robot_class = told_class(init.class_name, spec.name)
         self.attach_robot(robot, robot.spawn_time)
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True

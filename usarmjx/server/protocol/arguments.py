@@ -27,7 +27,8 @@ class ArgumentKind(Enum):
 
     NUMBER = "a number"
     TRUTH = "True, False or a number"
-    VECTOR = "numbers"
+    VECTOR = "three numbers"
+    NUMBERS = "numbers"
     POINTS = "points of three numbers, separated by semicolons"
 
 
@@ -58,8 +59,9 @@ _DRIVE_UNITS = {
 }
 ARGUMENTS: dict[str, dict[str, Argument]] = {
     "INIT": {
-        "Location": Argument(ArgumentKind.VECTOR, Setting(unit="m")),
-        "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
+        # Those that are missing are 0, and a fourth is dropped: the manual itself prints one (5.3.3).
+        "Location": Argument(ArgumentKind.NUMBERS, Setting(unit="m")),
+        "Rotation": Argument(ArgumentKind.NUMBERS, Setting(unit="rad")),
     },
     "DRIVE": {
         **{key: _DRIVE_UNITS.get(key, _SPIN) for key in DRIVE_KEYS},
@@ -77,7 +79,7 @@ ARGUMENTS: dict[str, dict[str, Argument]] = {
         "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
         "Scale": Argument(ArgumentKind.VECTOR, Setting()),
         **dict.fromkeys(("Permanent", "Move", "Loop", "Autoalign", "Show", "ResetOnClear"), _TRUTH),
-        "Speed": Argument(ArgumentKind.VECTOR, Setting()),  # one number of SetWP, three of Rotate
+        "Speed": Argument(ArgumentKind.NUMBERS),  # one number of SetWP and Conveyor, three of Rotate
         "Time": _SECONDS,
         "WP": Argument(ArgumentKind.POINTS, Setting(unit="m")),
     },
@@ -124,6 +126,10 @@ def _is_truth(text: str) -> bool:
 
 
 def _is_vector(text: str) -> bool:
+    return len(split_vector(text)) == 3 and _are_numbers(text)
+
+
+def _are_numbers(text: str) -> bool:
     # With spaces a comma inside a part is its decimal comma, which is refused: its tail would be lost.
     return all(map(is_number, split_vector(text)))
 
@@ -137,6 +143,7 @@ _MATCHES: dict[ArgumentKind, Callable[[str], bool]] = {
     ArgumentKind.NUMBER: is_number,
     ArgumentKind.TRUTH: _is_truth,
     ArgumentKind.VECTOR: _is_vector,
+    ArgumentKind.NUMBERS: _are_numbers,
     ArgumentKind.POINTS: _is_points,
 }
 

@@ -314,7 +314,7 @@ def _control(message: Message) -> Command | Ignored:
     if kind.lower() in ("setwp", "addwp"):
         return Control(kind, name, path=_path(message))
     if kind.lower() == "rotate":
-        return Control(kind, name, spin=_vector(message.get("Speed")))
+        return Control(kind, name, spin=_three(message, "Speed"))
     low, high = _vector(message.get("MinPos")), _vector(message.get("MaxPos"))
     return Control(
         *(kind, name, message.get("ClassName"), location, rotation),
@@ -324,6 +324,18 @@ def _control(message: Message) -> Command | Ignored:
         permanent=to_bool(message.get("Permanent")),
         corners=None if low is None or high is None else (low, high),
     )
+
+
+def _three(message: Message, key: str) -> Vector | None:
+    """Return the three numbers of a key that has one number in other commands; None without a value.
+
+    Raises:
+        PeerError: They are not three.
+    """
+    text = message.get(key)
+    if text and len(to_vector(text)) != 3:
+        raise PeerError(f"{key} is {clip(text)}; expected three numbers")
+    return _vector(text)
 
 
 def _path(message: Message) -> PathOptions:

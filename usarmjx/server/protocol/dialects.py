@@ -12,6 +12,7 @@ A dialect stands between lines and commands. `understand` converts a client's me
     SEN {Time 62.0100} {Type Encoder} {Name W1} {Tick 4}               of an encoder whose name has W1 in it
     SEN {Time 62.0100} {Type IMU} {Name I} {XYZAcceleration 0,0,0} ... Type AHRS; also in GETGEO and GETCONF
     GEO ... {Mount P3AT}                                               Mount HARD: the class that INIT named
+    GEO {Type GroundVehicle} {Name P3AT} ..., also in CONF             Name P2AT
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
     INIT {ClassName USARBot.WorldController}, CONTROL {Type GetSTA}    a client that moves things
 """
@@ -23,6 +24,7 @@ from itertools import pairwise
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol.grammar import Message, Segment, is_number, to_int
+from usarmjx.server.protocol.reports import VEHICLES
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
 """Type of mission packages in the manual and in UDK's version."""
@@ -74,6 +76,16 @@ class Dialect:
     all_joints: frozenset[str] = frozenset()
 
 
+def told_class(asked: str, ours: str) -> str:
+    """Return the class of a robot as the later versions tell it, whatever the case of its INIT.
+
+    Args:
+        asked: The class that INIT named.
+        ours: Its name here.
+    """
+    return asked.upper() if asked.lower() in LATER_CLASSES else ours
+
+
 def _understand_udk(message: Message) -> Message:
     if message.kind == "ACT":
         # No package here has a sequence, so it is left out as the later server does (Actuator.uc).
@@ -101,6 +113,8 @@ def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]
         yield Message("ASTA", tuple(segment for segment in message.segments if segment[0] != "Torque"))
     elif message.kind in ("GEO", "CONF") and message.get("Type").lower() == ACTUATOR_TYPE.lower():
         yield Message(message.kind, tuple(_actuator(message, robot_class or CHASSIS_MOUNT)))
+    elif message.kind in ("GEO", "CONF") and message.get("Type") in VEHICLES:
+        yield replace(message, segments=tuple(_named(message.segments, robot_class)))
     elif message.kind == "CONF" and message.get("Type").lower() == GRIPPER_TYPE.lower():
         yield Message(message.kind, tuple(_binary(message)))
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
@@ -118,6 +132,13 @@ def _typed(segments: Iterable[Segment]) -> Iterator[Segment]:
     """Give a type its name in the later versions."""
     for key, value in segments:
         yield (key, LATER_TYPES.get(value, value) if key == "Type" else value)
+
+
+def _named(segments: tuple[Segment, ...], robot_class: str) -> Iterator[Segment]:
+    """Name a robot by the class that its INIT named; an echo of what is not there keeps its name."""
+    is_there = len(segments) > 2
+    for key, value in segments:
+        yield (key, robot_class if key == "Name" and is_there and robot_class else value)
 
 
 def _split(segments: Iterable[Segment]) -> Iterator[Segment]:
