@@ -45,8 +45,9 @@ def test_auto_takes_warp_for_everything():
     assert {choose_engine("auto", purpose) for purpose in ("serve", "train", "batch")} == {"warp"}
 
 
-def test_warp_on_the_gpu_drives_as_c_mujoco_does():
-    scene = build_scene(COURSE, ["P2AT", "P2AT"])
+@pytest.mark.parametrize("solver", ["CG", "block"])
+def test_warp_on_the_gpu_drives_as_c_mujoco_does(solver: str):
+    scene = build_scene(COURSE, ["P2AT", "P2AT"], Physics(solver=solver))
     poses = {}
     for engine in ("warp", "c"):
         batch = Batch(scene, 64 if engine == "warp" else 1, engine=engine, seed=3)

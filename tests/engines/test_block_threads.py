@@ -29,7 +29,7 @@ def arrays_of(problem: Any, values: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("lanes", [16, 32, 128])
+@pytest.mark.parametrize("lanes", [8, 16, 32, 128])
 def test_threads_find_what_one_alone_finds(lanes: int, monkeypatch: pytest.MonkeyPatch):
     scene = build_scene("yellow", ["P2AT", "P2AT"])
     x, y, _ = scene.arena.starts[0].at

@@ -429,9 +429,9 @@ class WarpEngine(MjxEngine):
         """Return the broad phase of solver `block`."""
         block, impl = import_module("usarmjx.engines.block.broad_phase"), self.mx._impl
         pairs, own = np.asarray(impl.nxn_geom_pair_filtered), np.asarray(impl.nxn_pairid_filtered)
-        device = (
-            None if jax.default_backend() == "cpu" else import_module("warp").device_from_jax(local_device())
-        )
+        device = None
+        if jax.default_backend() != "cpu":
+            device = import_module("warp").device_from_jax(local_device() or jax.devices()[0])
         return block.BroadPhase(block.make_table(self.model, pairs, (own >= 0).any(1)), device)
 
     def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:

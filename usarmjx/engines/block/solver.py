@@ -41,7 +41,7 @@ class SizeClass:
 
 
 CLASSES = (
-    SizeClass(lanes=16, slot=768, most=1 << 22),
+    SizeClass(lanes=8, slot=768, most=1 << 22, block=64),
     SizeClass(lanes=32, slot=2944, most=1 << 14),
     SizeClass(lanes=128, slot=11760, most=1 << 12),
     SizeClass(lanes=128, slot=0, most=264),
