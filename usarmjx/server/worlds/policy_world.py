@@ -266,6 +266,10 @@ class PolicyBatch(SharedBatch):
             self._maps[world] = before = self.measured, jax.device_get(maps)
         return before[1]
 
+    def task_memory(self, world: int) -> Any:  # noqa: ANN401 - the task's own
+        """Return the task's memory of a world as of the last action."""
+        return jax.tree.map(lambda x: x[world], self._policy_state.task)
+
     def _keys_of_task(self) -> jax.Array:
         # Actions fold the step into the same key: a number beyond all steps keeps the two streams apart.
         return jax.random.split(jax.random.fold_in(self._key, 1 << 30), self.env.worlds)

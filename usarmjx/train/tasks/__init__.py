@@ -23,6 +23,7 @@ from usarmjx.train.tasks.search_base import SearchBase
 from usarmjx.train.tasks.soccer import Soccer
 from usarmjx.train.tasks.stairs import Stairs
 from usarmjx.train.tasks.team import TeamTask, range_lines
+from usarmjx.train.tasks.team_mind import Report, TeamMind
 from usarmjx.train.tasks.victim_search import VictimSearch
 from usarmjx.train.tasks.wander import Wander
 
@@ -37,9 +38,11 @@ __all__ = [
     "HoverInspect",
     "RelayBase",
     "RelayChain",
+    "Report",
     "SearchBase",
     "Soccer",
     "Stairs",
+    "TeamMind",
     "TeamTask",
     "VictimSearch",
     "Wander",

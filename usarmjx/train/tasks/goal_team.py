@@ -418,7 +418,7 @@ class GoalTeam(TeamTask):
         memory = super().start(view, key)
         memory = memory.replace(extra=self.first_state(view, memory))
         goals = self.find(view.scene, self.known(view, memory))
-        memory = self._noted(view, memory.replace(extra=memory.extra.replace(goals=goals)))
+        memory = self.noticed(view, memory.replace(extra=memory.extra.replace(goals=goals)))
         if not self.pictures:
             return memory
         sent = self._sent(view, memory)
@@ -459,13 +459,24 @@ class GoalTeam(TeamTask):
             self.told(view, belief)[:, None, None], news, False if isinstance(before, tuple) else before
         )
 
-    def _noted(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
+    def noticed(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
         """Return the memory with what the base and the others have got to know."""
         belief, extra = memory.belief, memory.extra
         news = self.news(belief)
         reported = jnp.where(self.told(view, belief), news, extra.reported)
         shared = jnp.where(_linked(view), news[:, None], extra.shared)
         return memory.replace(extra=extra.replace(reported=reported, shared=shared))
+
+    def offered(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
+        """Return the memory with new goals, and pictures, where a choice is due."""
+        due, known, scene = memory.step % self.hold == 0, self.known(view, memory), view.scene
+        extra = memory.extra
+        goals = where_due(partial(self.find, scene), due, extra.goals, known)
+        if self.pictures:
+            sent = self._sent(view, memory)
+            picture = where_due(partial(self.picture, scene), due, extra.picture, known, sent)
+            extra = extra.replace(sent=sent, picture=picture)
+        return memory.replace(extra=extra.replace(goals=goals))
 
     def told(self, view: TaskView, belief: Belief) -> jax.Array:
         """Return whether robots have no news for the base, as far as they know (robots,)."""
@@ -478,21 +489,14 @@ class GoalTeam(TeamTask):
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
         """Progress, and contacts."""
-        steps, scene, before = self.episode_steps, view.scene, memory.extra
+        steps, scene = self.episode_steps, view.scene
         worth = self.worth((steps - memory.step) / steps)  # this step's number is one more
         memory, credit, begun = self.advance(view, memory)
-        memory = self._noted(view, memory)
+        memory = self.noticed(view, memory)
         found = self.progress(view, memory, worth)
-        memory = memory.replace(extra=memory.extra.replace(achieved=found.achieved))
-        due, known = memory.step % self.hold == 0, self.known(view, memory)
-        goals = where_due(partial(self.find, scene), due, before.goals, known)
-        if self.pictures:
-            sent = self._sent(view, memory)
-            picture = where_due(partial(self.picture, scene), due, before.picture, known, sent)
-            memory = memory.replace(extra=memory.extra.replace(sent=sent, picture=picture))
+        memory = self.offered(view, memory.replace(extra=memory.extra.replace(achieved=found.achieved)))
         contacts = self.price * begun
-        score = memory.score + found.points - contacts.sum()
-        memory = memory.replace(extra=memory.extra.replace(goals=goals), score=score)
+        memory = memory.replace(score=memory.score + found.points - contacts.sum())
         reward = found.reward + self.hint * 100.0 * credit - contacts
         return StepResult(
             memory=memory,

@@ -1,0 +1,59 @@
+"""A team outside a simulator sees and does what the same team does inside."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.make import make
+from usarmjx.train.tasks import TASKS, Buildings, TeamMind
+from usarmjx.train.tasks.team_mind import Report
+
+SMALL = Buildings(levels=(0.4,), count=1, size=(5, 4), together=True, spacing=1.2)
+
+
+def report_of(env, state, letters):
+    """What the robots of world 0 would report."""
+    world = jax.device_get(state.batch.worlds)
+    base, team = (group.memory.last for group in world.groups)
+    poses = np.concatenate([base[0][0], team[0][0]])[:, (0, 1, 5)]
+    seconds = float(world.step[0]) * env.scene.physics.period
+    return Report(seconds, poses, team[1][0], world.links.power[0], letters)
+
+
+def delivered(mind_orders, report, cutoff):
+    """The messages of all robots, where links hold."""
+    robots = len(report.poses)
+    pairs = ((i, j) for i in range(robots) for j in range(robots) if report.power[i, j] >= cutoff)
+    return [(j, i, report.seconds, mind_orders.letters[i]) for i, j in pairs]
+
+
+@pytest.mark.oracle
+def test_a_team_outside_observes_and_drives_as_the_environment_does():
+    env = make("explore-v3", engine="planar", arena=SMALL, count=2, episode_steps=60)
+    task, planner = env.task, BASELINES.get("explore-v3")(env)
+    mind = TeamMind(task, env.scene.arena.extent)
+    state, letters = env.reset(3), []
+    for _ in range(24):
+        report = report_of(env, state, letters)
+        seen = mind.see(report)
+        np.testing.assert_allclose(seen, state.obs[0][0], atol=2e-5)
+        choices = planner.act((), state.obs, jax.random.key(0))[1][0]
+        orders = mind.obey(seen, np.asarray(choices[0]))
+        letters = delivered(orders, report, env.scene.radio.cutoff)
+        # Four wheels, two on a side.
+        wheels = np.asarray(env.commanded(state, (choices,)).groups[1].command.target[0, :, :4])
+        np.testing.assert_allclose(np.sort(np.tile(orders.wheels, 2)), np.sort(wheels), atol=1e-3)
+        state = env.step(state, (choices,))
+    assert np.asarray(state.obs[0])[0, :, 3].any()  # somebody has a link to the base
+
+
+def test_teams_with_other_sensors_or_actions_are_refused():
+    extent = ((0.0, 6.0), (0.0, 4.8))
+    with pytest.raises(UsageError, match="here: sensors INS, RangeScanner, VictSensor, actions=goals"):
+        TeamMind(TASKS.get("victim-search-v3"), extent)
+    with pytest.raises(UsageError, match="actions=wheels"):
+        TeamMind(replace(TASKS.get("explore-v3"), actions="wheels"), extent)
