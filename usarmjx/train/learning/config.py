@@ -214,8 +214,10 @@ class Config:
         normalize_values: Let the critic learn values shifted and scaled in the same way.
         stagger_resets: Begin the first episodes at random times, so that the worlds' time-outs do not
             coincide.
-        imitation_steps: Agent steps at the start in which the policy imitates the task's baseline; 0: PPO
-            from the first step.
+        imitation_steps: Agent steps at the start in which the policy imitates a teacher; 0: PPO from the
+            first step.
+        teacher: Teacher of the imitation: the task's baseline; oracle, of robots that choose goals: the same
+            on goals whose worth it knows, as it knows the building; a planner by name; a run or file.
         imitation_std: Deviation of actions before they are squashed that imitation acts with in the end, and
             PPO begins with. Smaller where a robot must not stray, as in narrow windows.
         curriculum: Share of the run in which generated arenas get harder, from the easiest to all; 0: all of
@@ -259,6 +261,7 @@ class Config:
     normalize_values: Annotated[bool, Setting(aliases=("normalise_values",))] = True
     stagger_resets: Annotated[bool, Setting(aliases=("stagger",))] = True
     imitation_steps: Annotated[int, Setting(ge=0, aliases=("imitate",))] = 0
+    teacher: str = "baseline"
     imitation_std: Annotated[float, Setting(gt=0, aliases=("imitate_std",))] = 0.3
     curriculum: Annotated[float, Setting(ge=0, le=1)] = 0.0
     arena_refresh_interval: Annotated[int, Setting(ge=0, aliases=("renew",))] = 4
@@ -280,6 +283,8 @@ class Config:
             return f"{self.num_worlds} worlds cannot be divided into {self.num_minibatches} minibatches"
         if self.network != "mlp" and (self.gru_size or self.shared_policy):
             return f"network is {self.network}, which has no gru_size and no shared_policy"
+        if self.teacher != "baseline" and not self.imitation_steps:
+            return f"teacher is {self.teacher}, but imitation_steps is 0: nothing is imitated"
         if self.gru_size and self.action_repeat > 1:
             return (
                 f"gru_size is {self.gru_size}, but a memory needs action_repeat 1, not {self.action_repeat}"

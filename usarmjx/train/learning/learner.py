@@ -168,7 +168,7 @@ class Trainer:
         workers = workers_for(process_group.count)
         self.stream = ArenaStream(env, config.arena_refresh_interval, self.iterations, workers)
         self.waits = Waits()
-        teacher = teacher_of(env) if config.imitation_steps else None
+        teacher = teacher_of(env, config.teacher) if config.imitation_steps else None
         known: ProgramCache | None = getattr(env, "program_cache", None)
         # Programs are the same for all seeds and checkpoint settings.
         general = replace(config, seed=0, checkpoint_interval=1, keep_checkpoints=1, black_box=0)

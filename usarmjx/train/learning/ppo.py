@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.base.errors import UsageError, extra
-from usarmjx.train.baselines import BASELINES
+from usarmjx.train.baselines import BASELINES, PLANNERS
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import Memory
 from usarmjx.train.envs.task import Carry, ObservationArrays, Policy, Task
@@ -36,17 +36,37 @@ from usarmjx.train.learning.train_state import (
     make_optimiser,
 )
 from usarmjx.train.learning.trajectory import RolloutEnds, Trajectory
+from usarmjx.train.policies.sources import load_policy
+from usarmjx.train.tasks.goal_team import GoalTeam
+from usarmjx.train.tasks.oracle_view import oracle_obs
 
 if TYPE_CHECKING:
     from usarmjx.train.learning.networks import Distribution
 
 
-def teacher_of(env: Env) -> Policy:
-    """Return the baseline of an environment's task; it acts on what `teacher_obs` returns.
+BASELINE, ORACLE = "baseline", "oracle"
+"""Teachers that are no policies of one's own."""
+
+
+def teacher_of(env: Env, name: str = BASELINE) -> Policy:
+    """Return the teacher of an environment's task; it acts on what `teacher_obs` returns.
+
+    Args:
+        env: The environment.
+        name: See `Config.teacher`.
 
     Raises:
-        UsageError: The task has none; lists those that have.
+        UsageError: The task has no baseline, of which it lists those that have; or no such teacher.
+        UnknownNameError: No policy of that name.
     """
+    if name == ORACLE and not chooses_goals(env):
+        raise UsageError(
+            f"teacher is oracle, which only tasks whose robots choose goals have, not {env.name}"
+        )
+    if name in PLANNERS:
+        return PLANNERS[name](env)
+    if name not in (BASELINE, ORACLE):
+        return load_policy(name).policy(env)
     if env.name not in BASELINES:
         raise UsageError(
             f"{env.name} has no baseline to imitate: set imitation_steps to 0, or add one to BASELINES; "
@@ -59,16 +79,26 @@ def teacher_of(env: Env) -> Policy:
     return BASELINES.get(env.name)(env)
 
 
-def teacher_obs(env: Env, memory: Memory, obs: ObservationArrays) -> ObservationArrays:
+def teacher_obs(env: Env, memory: Memory, obs: ObservationArrays, name: str = BASELINE) -> ObservationArrays:
     """Return the teacher's observations, per group (worlds, robots, obs_size).
 
     Args:
         env: The environment.
         memory: Its task's memory (worlds, ...).
         obs: The policy's observations, per group (worlds, robots, obs_size).
+        name: See `Config.teacher`.
     """
     task: Task | None = getattr(env, "task", None)
-    return obs if task is None else jax.vmap(partial(task.baseline_obs, env.scene))(memory, obs)
+    if task is None or name not in (BASELINE, ORACLE, *PLANNERS):
+        return obs
+    see = partial(oracle_obs, task) if name == ORACLE and isinstance(task, GoalTeam) else task.baseline_obs
+    return jax.vmap(partial(see, env.scene))(memory, obs)
+
+
+def chooses_goals(env: Env) -> bool:
+    """Return whether robots of an environment choose goals."""
+    task: Task | None = getattr(env, "task", None)
+    return isinstance(task, GoalTeam) and task.discrete
 
 
 def reset_carry(teacher: Policy, carry: Carry, done: jax.Array) -> Carry:

@@ -90,7 +90,7 @@ class Rollout:
         networks: Shapes of policy and critics.
         config: Settings.
         first: Number of the first world.
-        teacher: Baseline to imitate for the first `config.imitation_steps` agent steps.
+        teacher: Policy to imitate for the first `config.imitation_steps` agent steps.
         program_cache: Cache of its programs.
     """
 
@@ -213,7 +213,7 @@ class Rollout:
         zeros = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
         return jax.lax.cond(
             self.networks.is_imitating(train_state, self.config),
-            lambda: teacher.act(carry, teacher_obs(self.env, memory, obs), key),
+            lambda: teacher.act(carry, teacher_obs(self.env, memory, obs, self.config.teacher), key),
             lambda: (carry, zeros),
         )
 

@@ -300,6 +300,10 @@ class GoalTeam(TeamTask):
         del view
         return memory.reachable
 
+    def unfound(self, memory: TeamMemory) -> jax.Array:
+        """Return the squares that a teacher who knows the building looks for, on nobody's map (i, j)."""
+        return memory.reachable & ~(memory.belief.squares == FREE).any(0)
+
     def pending(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return the known squares to which each robot has to go (robots, i, j): by default none."""
         del view

@@ -67,6 +67,10 @@ class RelayBase(GoalTeam):
     def targets(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return the deepest squares (i, j)."""
         del view
+        return self.unfound(memory)
+
+    def unfound(self, memory: TeamMemory) -> jax.Array:
+        """Return the deepest squares (i, j)."""
         return memory.reachable & (memory.extra.achieved.depth > DEEP)
 
     def wanted(self, view: TaskView, memory: TeamMemory) -> jax.Array:

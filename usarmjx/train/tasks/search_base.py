@@ -122,6 +122,10 @@ class SearchBase(ReportingTeam):
         missing = people & ~memory.extra.achieved
         return memory.reachable & (beside & missing[:, None, None]).any(0)
 
+    def unfound(self, memory: TeamMemory) -> jax.Array:
+        """As `GoalTeam`, by the looks of victim sensors (i, j)."""
+        return memory.reachable & ~memory.extra.looked.any(0)
+
     def things(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return which victims there are (victims,)."""
         del memory
