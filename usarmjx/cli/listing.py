@@ -119,6 +119,10 @@ def list_everything(
     ] = EVERYTHING,
     json: JsonFlag = False,
     markdown: MarkdownFlag = False,
+    card: Annotated[
+        str | None,
+        typer.Option(help="With policies: the card of a packaged one, its training, scores and hash."),
+    ] = None,
     robot: RobotFilesOption = None,
     packages: PackagesOption = None,
     pieces: PiecesOption = None,
@@ -128,6 +132,9 @@ def list_everything(
     """List robots, sensors, arenas, tasks, policies and engines."""
     with ErrorExit():
         check_form(json, markdown)
+        if card is not None:
+            _show_card(what, card)
+            return
         announce("reading the lists ...")
         add_robots(robot)
         configure_from(ini, uu_per_metre)
@@ -140,6 +147,19 @@ def list_everything(
             _list_all(json, markdown)
         else:
             show_listing(what, json, markdown)
+
+
+def _show_card(what: str, name: str) -> None:
+    """Print the card of a packaged policy.
+
+    Raises:
+        UsageError: Something else is listed, or there is no such policy.
+    """
+    if what not in ("policies", EVERYTHING):
+        raise UsageError(f"--card is for policies, not for {what}")
+    from usarmjx.train.policies.cards import card_text
+
+    typer.echo(card_text(name))
 
 
 def check_form(json: bool, markdown: bool) -> None:
