@@ -300,7 +300,7 @@ def test_jaxmarl_is_mapped_scanned_and_logged(marl):
 
 
 def test_jaxmarl_refuses_what_it_cannot_compile(marl):
-    with pytest.raises(UsageError, match="engine 'jax' or 'warp'"):
+    with pytest.raises(UsageError, match="engine 'planar', 'jax' or 'warp'"):
         marl(LineToy(traceable=False))
     with pytest.raises(UsageError, match="worlds=1, not 2"):
         marl(LineToy(worlds=2))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.train.choice_toys import CHOICES, ChoiceToy
 from tests.train.toys import LineToy, group
 from usarmjx.base.errors import UsageError
 from usarmjx.train.adapters.agents import ActionGrid, action_grids
@@ -19,6 +20,9 @@ def test_choices_count_through_the_grid_with_the_last_action_fastest():
     assert grid.choices == 9
     np.testing.assert_array_equal(grid.points, list(product([-1, 0, 1], [-1, 0, 1])))
     np.testing.assert_array_equal(grid.chosen([[0, 1], [4, 8]]), [[[-1, -1], [-1, 0]], [[0, 0], [1, 1]]])
+    goals = ActionGrid(bins=3, size=19, chooses=True)
+    assert goals.choices == 19
+    np.testing.assert_array_equal(goals.chosen([18]), [[0.0] * 18 + [1.0]])
     np.testing.assert_array_equal(ActionGrid(bins=5, size=1).points[:, 0], [-1, -0.5, 0, 0.5, 1])
     np.testing.assert_array_equal(grid.chosen(jnp.array([-7, 99]), jnp), [[-1, -1], [1, 1]])
 
@@ -120,6 +124,53 @@ def test_jaxmarl_agents_choose():
     np.testing.assert_allclose(after["B0"][:, 0] - obs["B0"][:, 0], [-0.1, 0.0, 0.1, 0.1], atol=FLOAT)
     available = world.get_avail_actions(jax.tree.map(lambda one: one[0], states))
     assert {name: mask.shape for name, mask in available.items()} == {"A0": (9,), "A1": (9,), "B0": (3,)}
+
+
+def test_jaxmarl_agents_choose_among_the_goals_that_are_there():
+    pytest.importorskip("jaxmarl", reason="needs the extra rl")
+    from jaxmarl.wrappers.baselines import CTRolloutManager
+
+    from usarmjx.train.adapters.jaxmarl import MultiAgentWorld
+
+    world = MultiAgentWorld(ChoiceToy(worlds=1), actions="discrete")
+    assert {name: world.action_space(name).n for name in world.agents} == {"a0": CHOICES, "a1": CHOICES}
+    obs, state = world.reset(jax.random.key(1))
+    for name, mask in world.get_avail_actions(state).items():
+        np.testing.assert_array_equal(mask, obs[name][-CHOICES:] > 0.5)
+    best = {
+        name: jnp.where(one[-CHOICES:] > 0.5, one[5:15:2], -jnp.inf).argmax() for name, one in obs.items()
+    }
+    _, _, rewards, _, _ = world.step(jax.random.key(0), state, best)
+    assert {name: float(one) for name, one in rewards.items()} == {"a0": 1.0, "a1": 1.0}
+    # The manager of all of JaxMARL's Q-learning programs.
+    manager = CTRolloutManager(world, batch_size=3)
+    _, states = manager.batch_reset(jax.random.key(2))
+    drawn = {name: manager.batch_sample(jax.random.key(3), name) for name in manager.agents}
+    after, _, rewards, _, _ = manager.batch_step(jax.random.key(4), states, drawn)
+    assert after["a0"].shape == (3, ChoiceToy(worlds=1).groups[0].obs_size + 2)
+    assert rewards["__all__"].shape == (3,)
+
+
+def test_jaxmarl_makes_tasks_by_name(monkeypatch):
+    jaxmarl = pytest.importorskip("jaxmarl", reason="needs the extra rl")
+    from usarmjx.train.adapters import jaxmarl as ours
+
+    made = []
+
+    def remember(name, **keywords):
+        made.append((name, keywords))
+        return LineToy()
+
+    monkeypatch.setattr(ours, "make_task_env", remember)
+    monkeypatch.setattr(jaxmarl, "make", jaxmarl.make)
+    monkeypatch.setattr(jaxmarl, "registered_envs", list(jaxmarl.registered_envs))
+    ours.register_worlds()
+    ours.register_worlds()
+    assert jaxmarl.registered_envs.count("usarmjx/explore-v3") == 1
+    world = jaxmarl.make("usarmjx/explore-v3", actions="discrete", count=2)
+    assert made == [("explore-v3", {"engine": "planar", "count": 2})]
+    assert world.action_space("A0").n == 9
+    assert jaxmarl.make("MPE_simple_spread_v3").num_agents == 3
 
 
 def test_baselines_learn_to_choose():

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from usarmjx.train.adapters.gymnasium import VectorWorlds as VectorWorlds
     from usarmjx.train.adapters.gymnasium import register_ids as register_ids
     from usarmjx.train.adapters.jaxmarl import MultiAgentWorld as MultiAgentWorld
+    from usarmjx.train.adapters.jaxmarl import register_worlds as register_worlds
     from usarmjx.train.adapters.pettingzoo import ParallelWorld as ParallelWorld
     from usarmjx.train.adapters.stable_baselines3 import BaselinesWorlds as BaselinesWorlds
     from usarmjx.train.adapters.torchrl import TorchWorlds as TorchWorlds
@@ -26,7 +27,7 @@ else:
             "usarmjx.train.adapters.benchmarl": ("BenchmarlTask",),
             "usarmjx.train.adapters.brax": ("BatchedRobots",),
             "usarmjx.train.adapters.gymnasium": ("TeamWorld", "VectorWorlds", "register_ids"),
-            "usarmjx.train.adapters.jaxmarl": ("MultiAgentWorld",),
+            "usarmjx.train.adapters.jaxmarl": ("MultiAgentWorld", "register_worlds"),
             "usarmjx.train.adapters.pettingzoo": ("ParallelWorld",),
             "usarmjx.train.adapters.stable_baselines3": ("BaselinesWorlds",),
             "usarmjx.train.adapters.torchrl": ("TorchWorlds",),

@@ -176,23 +176,28 @@ class ActionGrid:
 
     Each of its actions has evenly spaced values from -1 to 1. A choice is a number of a point of the grid, in
     which the last action varies fastest: of 3 values and 2 actions, 0 is (-1, -1), 1 is (-1, 0), 4 is (0, 0).
+    A robot that chooses one of several things has a point for each of these.
 
     Attributes:
         bins: Values of each action.
         size: Actions of the robot.
+        chooses: Whether it chooses one of as many things.
     """
 
     bins: int
     size: int
+    chooses: bool = False
 
     @property
     def choices(self) -> int:
         """Number of points."""
-        return self.bins**self.size
+        return self.size if self.chooses else self.bins**self.size
 
     @cached_property
     def points(self) -> np.ndarray:
         """Actions of each choice (choices, size)."""
+        if self.chooses:
+            return np.eye(self.size, dtype=np.float32)
         values = np.linspace(-1.0, 1.0, self.bins, dtype=np.float32)
         return np.stack(np.meshgrid(*[values] * self.size, indexing="ij"), -1).reshape(-1, self.size)
 
@@ -240,7 +245,7 @@ def action_grids(
         return None
     if bins < 2:
         raise UsageError(f"bins is {bins}, expected at least 2")
-    grids = tuple(ActionGrid(bins, group.action_size) for group in groups)
+    grids = tuple(ActionGrid(bins, group.action_size, group.discrete) for group in groups)
     for group, grid in zip(groups, grids, strict=True):
         if grid.choices > MAX_CHOICES:
             raise UsageError(

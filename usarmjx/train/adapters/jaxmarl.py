@@ -17,8 +17,11 @@ from usarmjx.train.adapters.agents import (
     check_one_world,
     stack_actions,
 )
+from usarmjx.train.make import make as make_task_env
+from usarmjx.train.tasks import TASKS
 
 with extra("rl"):
+    import jaxmarl
     from jaxmarl.environments.multi_agent_env import MultiAgentEnv
     from jaxmarl.environments.spaces import Box, Discrete
 
@@ -54,7 +57,7 @@ class MultiAgentWorld(MultiAgentEnv):
         check_one_world(env, "JaxMARL's MultiAgentEnv")
         if not env.traceable:
             raise UsageError(
-                f"JaxMARL compiles its environments: make {env.name} with engine 'jax' or 'warp'"
+                f"JaxMARL compiles its environments: make {env.name} with engine 'planar', 'jax' or 'warp'"
             )
         roster = agents_of(env)
         super().__init__(num_agents=len(roster))
@@ -129,7 +132,7 @@ class MultiAgentWorld(MultiAgentEnv):
 
     @partial(jax.jit, static_argnums=0)
     def get_avail_actions(self, state: "EnvState") -> Values:
-        """Return which actions are available: all those of agents that are alive.
+        """Return which actions are available: those of agents that are alive, of goals those that are there.
 
         Values are (action_size,); with discrete actions they are (choices,).
         """
@@ -137,7 +140,35 @@ class MultiAgentWorld(MultiAgentEnv):
         sizes = [group.action_size for group in self.env.groups]
         if self._grids is not None:
             sizes = [grid.choices for grid in self._grids]
-        return {
-            agent.name: jnp.full((sizes[agent.group],), True if alive is None else alive[agent.name])
-            for agent in agents_of(self.env)
-        }
+        masks, obs = Values(), self.get_obs(state)
+        for agent in agents_of(self.env):
+            size, name = sizes[agent.group], agent.name
+            there = obs[name][-size:] > 0.5 if self.env.groups[agent.group].discrete else jnp.full(size, True)
+            masks[name] = there if alive is None else there & alive[name]
+        return masks
+
+
+PREFIX = "usarmjx/"
+"""Begin of the names by which `jaxmarl.make` knows tasks."""
+
+
+def register_worlds() -> None:
+    """Let `jaxmarl.make` know all tasks, as `usarmjx/explore-v3`: programs of JaxMARL run unchanged.
+
+    Keywords are those of `MultiAgentWorld`, and `engine` and fields of the task for the environment.
+    """
+    library: Any = jaxmarl
+    before = library.make
+    if hasattr(before, "with_usarmjx"):
+        return
+
+    def make(env_id: str, **keywords: Any) -> Any:  # noqa: ANN401 - of any task, or JaxMARL's own
+        if not env_id.startswith(PREFIX):
+            return before(env_id, **keywords)
+        own = {name: keywords.pop(name) for name in ("actions", "bins") if name in keywords}
+        engine = keywords.pop("engine", "planar")
+        return MultiAgentWorld(make_task_env(env_id.removeprefix(PREFIX), engine=engine, **keywords), **own)
+
+    setattr(make, "with_usarmjx", True)  # noqa: B010 - a function has no such field for type checkers
+    library.make = make
+    library.registered_envs += [f"{PREFIX}{name}" for name in TASKS.names()]
