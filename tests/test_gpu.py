@@ -1,6 +1,7 @@
 """What only a GPU can show; skipped elsewhere."""
 
 from functools import partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -46,7 +47,7 @@ def test_auto_takes_warp_for_everything():
 
 
 @pytest.mark.parametrize("solver", ["CG", "block"])
-def test_warp_on_the_gpu_drives_as_c_mujoco_does(solver: str):
+def test_warp_on_the_gpu_drives_as_c_mujoco_does(solver: Literal["CG", "block"]):
     scene = build_scene(COURSE, ["P2AT", "P2AT"], Physics(solver=solver))
     poses = {}
     for engine in ("warp", "c"):

@@ -8,7 +8,7 @@ from statistics import median
 import numpy as np
 
 from benchmarks.report.records import BenchRecord
-from benchmarks.report.tables import MarkdownRow, number, of, table
+from benchmarks.report.tables import MarkdownRow, number, of, physics_words, table
 
 MILLISECONDS = 1e3
 FEWEST_FOR_LAW = 3
@@ -139,7 +139,7 @@ def _step_samples(records: Sequence[BenchRecord]) -> Iterator[Sample]:
         robots = int(record.roster.partition(":")[2] or 1)
         rest = (
             f"{case['engine']}, {case.get('generated') or ''}{case['arena']}, "
-            f"{case.get('physics', 'reference')}, commit {record.data['commit']}, {record.where}"
+            f"{', '.join(physics_words(case))}, commit {record.data['commit']}, {record.where}"
         )
         yield Sample("worlds", case["worlds"], cost, "ms a step", f"{record.roster}, {rest}")
         team = f"{case['worlds']} worlds of {kinds.pop()}, {rest}"

@@ -61,11 +61,18 @@ def baseline(record: BenchRecord, name: str) -> float | None:
     return record.data.get("baselines", {}).get(name, {}).get("rate")
 
 
+def physics_words(case: Mapping[str, Any]) -> list[str]:
+    """Return the settings of a case's physics: their name, and what replaces theirs."""
+    solver = [f"solver {case['solver']}"] if case.get("solver") else []
+    step = [f"steps of {1e3 * case['timestep']:g} ms"] if case.get("timestep") else []
+    return [case.get("physics", "reference"), *solver, *step]
+
+
 def _scene_words(record: BenchRecord) -> str:
     case = record.case
     arena = f"{case['generated']} x {case['arena']}" if case.get("generated") else case.get("arena", "-")
     extra = [word for word in ("radio",) if case.get(word)]
-    extra += [case["physics"]] if case.get("physics", "reference") != "reference" else []
+    extra += [word for word in physics_words(case) if word != "reference"]
     extra += [f"graphs {case['graph']}"] if case.get("graph", "step") != "step" else []
     return ", ".join([arena, *extra])
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -14,6 +15,7 @@ from benchmarks.memory import bytes_per_world, measure_memory, size_of
 from benchmarks.scenes import batch_of, cells_for, scene_of
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
+from usarmjx.models.compile.physics import PHYSICS
 
 KEY = jax.dtypes.prng_key
 SCENE = {"worlds": 2, "roster": "AirRobot", "arena": "soccer", "engine": "c", "substeps": 2}
@@ -74,6 +76,16 @@ def test_generated_arenas_grow_with_the_team():
     assert scene.arenas.states.starts.shape[1] >= 30
     own = scene_of(SceneCase(worlds=1, roster="P2AT", arena="maze", generated=2, size="5x4", engine="c"))
     assert own.arena.extent == ((0.0, 6.0), (0.0, 4.8))
+
+
+def test_another_solver_and_step_replace_those_of_the_physics():
+    """A control step stays 50 ms."""
+    case = SceneCase(
+        roster="P2AT", arena="field", engine="c", physics="fast", solver="Newton", timestep=0.005
+    )
+    assert scene_of(case).physics == replace(
+        PHYSICS.get("fast"), solver="Newton", timestep=0.005, substeps=10
+    )
 
 
 def test_the_memory_of_worlds_is_that_of_their_arrays(tmp_path):
