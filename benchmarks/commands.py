@@ -24,9 +24,8 @@ from benchmarks.cases import (
     ViewerCase,
 )
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import ErrorExit, IniOption, UnitOption, configure_from
+from usarmjx.cli.common import ErrorExit, IniOption, UnitOption, announce, configure_from
 from usarmjx.cli.setting_options import with_settings
-from usarmjx.cli.startup_messages import announce
 
 app = typer.Typer(help="Measure the speed of this machine.", no_args_is_help=True)
 

@@ -21,7 +21,7 @@ from usarmjx.recording.file import ChannelName, RecordingFile
 from usarmjx.recording.inputs import StepState
 from usarmjx.recording.reader import Recording
 from usarmjx.sim.calibration import _measured
-from usarmjx.sim.trials.obstacles import _measured_before, success_text
+from usarmjx.sim.trials import _measured_before, success_text
 from usarmjx.sweeps.spec import load_spec
 from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, write_sweep
 from usarmjx.sweeps.suite import RunResult, read_result

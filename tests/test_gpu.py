@@ -20,9 +20,9 @@ from usarmjx.base.accelerator import warp_in_use
 from usarmjx.engines import choose_engine
 from usarmjx.engines.mjx_warp import GRAPH_MODES
 from usarmjx.engines.planar import engine as planar_engine
+from usarmjx.engines.planar.engine import separate_robots
 from usarmjx.engines.planar.footprints import separate_footprints
 from usarmjx.engines.planar.neighbor_search import update_neighbors_on_jax, update_neighbors_on_warp
-from usarmjx.engines.planar.separation import separate_robots
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene

@@ -22,8 +22,7 @@ from matplotlib.patches import Patch, Polygon, Wedge
 from usarmjx.base.clock import Clock, clock_at
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import angles_from_mat
-from usarmjx.cli.common import ErrorExit
-from usarmjx.cli.startup_messages import announce
+from usarmjx.cli.common import ErrorExit, announce
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
 from usarmjx.models.drives.base import RobotState

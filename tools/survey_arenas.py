@@ -19,7 +19,7 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.files.load import read_arena
 from usarmjx.models.robots import ROBOTS

@@ -23,7 +23,7 @@ import numpy as np
 
 from tools.survey_oracle import Oracle, distances, oracle_of
 from usarmjx.models import ArenaSpec, RobotSpec, StartPose, load_robot
-from usarmjx.models.check.robot import settling_distance
+from usarmjx.models.check import settling_distance
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.drives import Ackermann, SkidSteer
 from usarmjx.models.files.reader_process import expand_xacro
@@ -174,7 +174,7 @@ def seen_share(robot: RobotSpec, oracle: Oracle) -> float:
 
 def drive(robot: RobotSpec) -> tuple[float, float, float]:
     """Return speed ahead, that of the wheels [m/s], and drift aside over the way ahead."""
-    from usarmjx.sim.trials.driver import Trial
+    from usarmjx.sim.trials import Trial
 
     full = robot.drive.top_speed
     share = min(1.0, 0.5 if full <= 0 else MAX_SPEED / full)

@@ -13,7 +13,7 @@ from usarmjx.base.errors import EngineError
 from usarmjx.models.compile.kinematic_tree import bounding_box
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.effecters.gripper import LEVER
+from usarmjx.models.effecters.standard import LEVER
 from usarmjx.models.types.arena import LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import Shape

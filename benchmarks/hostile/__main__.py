@@ -23,7 +23,7 @@ from benchmarks.hostile.frames import init_line
 from benchmarks.hostile.stage import HOST, PortAttack, play
 from benchmarks.hostile.table import read_records, worst_table
 from benchmarks.tools import append_record, record_header
-from usarmjx.server.runtime.parent_pipe import ParentPipe
+from usarmjx.server.runtime.signals import ParentPipe
 
 LIMIT = 0.25
 """Most time of the server's main thread between two reports of a neighbour, docs/security.md [s]."""

@@ -16,7 +16,7 @@ from threading import Thread
 
 from benchmarks.tools import commit
 from usarmjx.base.errors import UsageError
-from usarmjx.server.runtime.parent_pipe import ParentPipe
+from usarmjx.server.runtime.signals import ParentPipe
 
 OWN_TREE = Path(__file__).resolve().parents[2]
 """Where this package lies."""

@@ -120,8 +120,6 @@ def test_commands_that_do_not_need_a_large_pool_have_a_small_one(engines, expect
     more = "" if engines is None else f", engines={engines}"
     code = f"import os; os.environ['USARMJX_CACHE'] = {str(tmp_path)!r}\n"
     code += "os.environ.pop('JAX_COMPILATION_CACHE_DIR', None)\n"
-    code += (
-        f"from usarmjx.cli.startup_messages import announce; announce('wait', aloud=False{more})\n{SHOW}\n"
-    )
+    code += f"from usarmjx.cli.common import announce; announce('wait', aloud=False{more})\n{SHOW}\n"
     code += "print(os.environ['JAX_COMPILATION_CACHE_DIR'].endswith('-cores'))"
     assert run(code, cores=2).split() == [expected, str(expected == "None")]

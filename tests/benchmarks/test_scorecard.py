@@ -26,7 +26,7 @@ from tests.benchmarks.records import faults
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.engines.planar.responses import packaged_responses
 from usarmjx.models.compile.physics import PHYSICS, Physics
-from usarmjx.models.effecters import gripper
+from usarmjx.models.effecters import standard
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.shapes import SURFACES
 
@@ -60,7 +60,7 @@ def test_a_gripper_holds_no_more_than_the_friction_of_its_fingers_carries(monkey
     """
     held = []
     for force in (60.0, 8.0):
-        monkeypatch.setattr(gripper, "MOTOR", replace(gripper.MOTOR, torque=force))
+        monkeypatch.setattr(standard, "MOTOR", replace(standard.MOTOR, torque=force))
         robot = replace(ROBOTS.get("Talon"), name=f"Talon{force:g}")
         orders = orders_of(robot)
         assert orders is not None

@@ -17,8 +17,7 @@ from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.app import app
-from usarmjx.cli.common import ErrorExit
-from usarmjx.cli.startup_messages import say
+from usarmjx.cli.common import ErrorExit, say
 from usarmjx.cli.train import _served
 from usarmjx.cli.train_plan import TrainOptions, check_curriculum, recorded_engine
 from usarmjx.train.learning.config import (
@@ -206,7 +205,7 @@ def test_several_processes_run_the_same_command(monkeypatch):
     """Each is told who it is by its environment, and so does not start others."""
     called = []
     monkeypatch.setattr(
-        "usarmjx.train.learning.launch.spawn", lambda count, command: called.append((count, command)) or 3
+        "usarmjx.train.learning.processes.spawn", lambda count, command: called.append((count, command)) or 3
     )
     monkeypatch.setattr(sys, "argv", ["usarmjx", "train", "--processes", "2"])
     result = invoke("train", "--task", "drive-to-goal", "--out", "x", "--processes", "2")

@@ -162,7 +162,7 @@ def test_a_self_test_compiles_few_programs_makes_few_steps_and_answers_on_standa
 
 def test_the_first_line_comes_before_numpy_and_jax():
     code = (
-        "import sys, usarmjx.cli.startup_messages as waiting\n"
+        "import sys, usarmjx.cli.common as waiting\n"
         "def first(text, **_):\n"
         "    print(text, sorted({'numpy', 'jax', 'mujoco'} & set(sys.modules)))\n"
         "    raise SystemExit\n"

@@ -13,7 +13,7 @@ import pytest
 
 import dev
 from tests.scripts import python_path
-from usarmjx.cli.startup_messages import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch, is_compiling
+from usarmjx.cli.common import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch, is_compiling
 
 COMMANDS = (
     "list",
@@ -180,7 +180,7 @@ def test_one_that_follows_a_reported_end_has_a_clock_of_its_own(talk):
 
 
 COMPILES = """
-from usarmjx.cli.startup_messages import announce
+from usarmjx.cli.common import announce
 announce("a start ...")
 import jax
 heard = []

@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.engines.c.batch import CEngine
-from usarmjx.engines.c.moved_geoms import MovedBody
+from usarmjx.engines.c.batch import CEngine, MovedBody
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.make import make
 

@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.engines.c.ray_pairs import RayPairs
-from usarmjx.engines.c.rays import CRayCaster, tree_addresses
+from usarmjx.engines.c.rays import CRayCaster, RayPairs, tree_addresses
 from usarmjx.models.types.shapes import FENDER, GLASS, MATERIALS, OPAQUE
 from usarmjx.sensors.rays.raycast import RayQuery
 

@@ -13,8 +13,8 @@ import pytest
 from tests.engines.eager import EAGER
 from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.engines.test_planar_movable import WARD
+from usarmjx.engines.planar import engine, neighbor_search
 from usarmjx.engines.planar import engine as planar
-from usarmjx.engines.planar import neighbor_search, separation
 from usarmjx.engines.planar.bodies import fixed_bodies
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import SolidPlacement, movable_solids
@@ -167,7 +167,7 @@ def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scen
 @pytest.mark.parametrize("scene", list(SCENES)[:2])
 def test_an_engine_goes_the_same_way_with_them(scene, monkeypatch):
     by_jax, _ = driven(*SCENES[scene])
-    for module in (neighbor_search, separation):
+    for module in (neighbor_search, engine):
         monkeypatch.setattr(module, "warp_in_use", lambda: True)
     by_warp, physics = driven(*SCENES[scene])
     off = np.abs(np.asarray(by_warp) - by_jax).max(-1)
@@ -186,7 +186,7 @@ def test_they_are_in_use_where_warp_is_and_a_block_holds_the_solids(monkeypatch)
         return sorted(set(re.findall(r"@(look_around_robots|keep_robots_apart|ground_under_robots)", text)))
 
     assert kernels() == []
-    for module in (neighbor_search, separation):
+    for module in (neighbor_search, engine):
         monkeypatch.setattr(module, "warp_in_use", lambda: True)
     assert kernels() == ["ground_under_robots", "keep_robots_apart", "look_around_robots"]
     for capacities in ("SHARED_CAPACITIES", "GLOBAL_CAPACITIES"):
@@ -264,7 +264,7 @@ def launches(monkeypatch):
     for module, name in (
         (neighbor_search, "_search_kernel"),
         (neighbor_search, "_ground_kernel"),
-        (separation, "_kernel"),
+        (engine, "_kernel"),
     ):
         monkeypatch.setattr(module, name, recorded(name, getattr(module, name)))
         monkeypatch.setattr(module, "warp_in_use", lambda: True)

@@ -11,10 +11,10 @@ from tests.engines.crowds import as_the_engine_has_it, crowd, flat
 from tests.engines.eager import EAGER, drive, poses
 from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.engines.test_planar_contact import PEN
-from usarmjx.engines.planar import separation
+from usarmjx.engines.planar import engine
+from usarmjx.engines.planar.engine import separate_on_warp, separate_robots
 from usarmjx.engines.planar.footprints import OVERLAP_TOLERANCE, separate_footprints
 from usarmjx.engines.planar.proposed_motion import pack_motion
-from usarmjx.engines.planar.separation import separate_on_warp, separate_robots
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -100,7 +100,7 @@ def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
         return jax.jit(lambda *given: separate_robots(*given)).lower(*as_the_engine_has_it(case)).as_text()
 
     assert "keep_robots_apart" not in text(2)
-    monkeypatch.setattr(separation, "warp_in_use", lambda: True)
+    monkeypatch.setattr(engine, "warp_in_use", lambda: True)
     assert text(2).count("stablehlo.custom_call @") == 1
     assert "keep_robots_apart" in text(2)
     assert "keep_robots_apart" not in text(MAX_ROBOTS + 1)
@@ -136,7 +136,7 @@ def test_an_engine_goes_the_same_way_with_it(monkeypatch):
     """Four robots among walls and a disc, told the same for 3 s, in two worlds of which one goes astern."""
     scene, found = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), []
     for on in (False, True):
-        monkeypatch.setattr(separation, "warp_in_use", lambda on=on: on)
+        monkeypatch.setattr(engine, "warp_in_use", lambda on=on: on)
         batch = Batch(scene, 2, engine="planar")
         speeds = jnp.array([[3.0, 2.0, 3.0, 3.0], [-3.0, -2.0, 2.0, 3.0]])
         state = drive(batch, speeds, 0.8 * speeds, 60)

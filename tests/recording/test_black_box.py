@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.recording import black_box
-from usarmjx.recording.black_box import BlackBox
+from usarmjx.recording import episodes
+from usarmjx.recording.episodes import BlackBox
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.replay import check_recording
 from usarmjx.recording.source import RecordingSource
@@ -75,7 +75,7 @@ def recorded(env, folder, state, most=4):
 
 def test_the_last_seconds_of_a_bad_world_are_kept_and_replayed_to_the_bit(env, tmp_path, monkeypatch):
     """Five actions of 0.1 s across two rollouts, the last of which is the one that failed."""
-    monkeypatch.setattr(black_box, "SECONDS", 0.5)
+    monkeypatch.setattr(episodes, "SECONDS", 0.5)
     files, lines = recorded(env, tmp_path, env.reset(0))
     assert [file.name for file in files] == ["iteration-000002-world-000001.mcap"]
     assert "a number of the task is not finite" in lines[0]
@@ -133,7 +133,7 @@ def test_a_recording_begins_after_the_last_episode_did(env, tmp_path):
 
 
 def test_a_recording_of_another_scene_is_refused(env, tmp_path, monkeypatch):
-    monkeypatch.setattr(black_box, "SECONDS", 0.1)
+    monkeypatch.setattr(episodes, "SECONDS", 0.1)
     files, _ = recorded(env, tmp_path, env.reset(0))
     recording = Recording(files[0])
     setup = recording.setup(0)

@@ -20,7 +20,7 @@ from usarmjx.server.gamebots.sensors import configuration, geometry, sensor_repo
 from usarmjx.server.protocol.dialects import MANUAL, UDK
 from usarmjx.server.protocol.grammar import format_message
 from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.readings import sensor_topics
+from usarmjx.server.rosbridge.topics import sensor_topics
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 EXACT = 1e-4  # single precision of angles and speeds over 0.1 s

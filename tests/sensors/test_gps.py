@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.sensors.blocks import c_rays, random_blocks
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.gps import (
     ELEVATION_MASK,
     GpsSettings,
@@ -20,7 +20,6 @@ from usarmjx.sensors.gps import (
     largest_error,
     satellite_directions,
 )
-from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.ranging import IrSettings
-from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 

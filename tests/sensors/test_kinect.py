@@ -15,9 +15,9 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options
-from usarmjx.sensors.kinect import KinectSettings, strip_directions
 from usarmjx.sensors.rays.raycast import cast_rays
 from usarmjx.sensors.suite import suite_of
+from usarmjx.sensors.swept import KinectSettings, strip_directions
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

@@ -21,8 +21,8 @@ from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, noisy
+from usarmjx.sensors.cameras.mounts import carried_weight
 from usarmjx.sensors.ranging import RangeSettings, range_readings
-from usarmjx.sensors.settings import carried_weight
 from usarmjx.server.gamebots.sensors import geometry
 
 AT = (0.3, 0.0, -0.3)  # in front of the robot, above its wheels

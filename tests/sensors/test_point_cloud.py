@@ -13,9 +13,9 @@ from tests.sensors.blocks import c_rays, random_blocks
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options
-from usarmjx.sensors.point_cloud import PointCloudSettings
 from usarmjx.sensors.rays.raycast import cast_rays
 from usarmjx.sensors.suite import suite_of
+from usarmjx.sensors.swept import PointCloudSettings
 from usarmjx.server.gamebots.sensors import sensor_report
 from usarmjx.server.protocol.dialects import UDK
 from usarmjx.server.protocol.grammar import format_message

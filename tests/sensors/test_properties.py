@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usarmjx.sensors.gps import MAX_SATELLITES, MIN_FIX_SATELLITES, GpsSettings, largest_error
-from usarmjx.sensors.human_motion import human_motion_probability
 from usarmjx.sensors.ranging import (
     Scanner3DSettings,
     ScannerSettings,
@@ -17,7 +16,7 @@ from usarmjx.sensors.ranging import (
 )
 from usarmjx.sensors.rfid import RfidSettings, signal_strength
 from usarmjx.sensors.touch import button_ray_origins
-from usarmjx.sensors.victim import VictSensorSettings, shifted_grids
+from usarmjx.sensors.victim import VictSensorSettings, human_motion_probability, shifted_grids
 
 UNIT = 1e-6  # of a float32 vector's length
 ANGLE = 1e-3  # rad: of an arc cosine of float32 near 1

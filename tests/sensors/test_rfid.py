@@ -12,7 +12,7 @@ from tests.sensors.people import Room, Watch
 from usarmjx.base.errors import SpecError
 from usarmjx.models.compile.tags import tag_ids, tag_table
 from usarmjx.models.types.arena import Tag
-from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.rfid import (
     MAX_TAGS,
@@ -22,7 +22,6 @@ from usarmjx.sensors.rfid import (
     distance_of_strength,
     signal_strength,
 )
-from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 

@@ -10,9 +10,8 @@ from tests.sensors.blocks import c_rays, random_blocks
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.ranging import IrScannerSettings, Scanner3DSettings, grid_directions
-from usarmjx.sensors.settings import resolve_settings
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 

@@ -4,10 +4,10 @@ import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.robot import Mount, field_name, options, resolve_settings
+from usarmjx.sensors.cameras.mounts import CameraSettings
 from usarmjx.sensors.motion import InsSettings, OdometrySettings
 from usarmjx.sensors.ranging import ScannerSettings, SonarSettings
-from usarmjx.sensors.settings import CameraSettings, field_name, resolve_settings
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.gamebots.sensors import configuration
 

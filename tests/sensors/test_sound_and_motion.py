@@ -9,11 +9,9 @@ import pytest
 from tests.sensors.people import Room, Watch
 from usarmjx.models.compile.victims import box_names, rest_height, segment_poses
 from usarmjx.models.types.arena import HelpSound, SegmentMotion, Victim
-from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.base import NoisySensorSettings
-from usarmjx.sensors.human_motion import HumanMotionSettings, human_motion_probability
-from usarmjx.sensors.settings import resolve_settings
-from usarmjx.sensors.sound import SoundSettings
+from usarmjx.sensors.victim import HumanMotionSettings, SoundSettings, human_motion_probability
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 

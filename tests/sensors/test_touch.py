@@ -9,9 +9,8 @@ import pytest
 from tests.rig import Rig
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.models.types.shapes import Shape
-from usarmjx.sensors.settings import resolve_settings
 from usarmjx.sensors.touch import TouchSettings, button_ray_origins
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message

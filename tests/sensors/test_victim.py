@@ -13,8 +13,7 @@ from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.victims import PART_NAMES, box_names, rest_height
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import FalseAlarm, SegmentMotion, Victim
-from usarmjx.models.types.robot import Mount, options
-from usarmjx.sensors.settings import resolve_settings
+from usarmjx.models.types.robot import Mount, options, resolve_settings
 from usarmjx.sensors.victim import VictSensor, VictSensorSettings, shifted_grids
 from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message

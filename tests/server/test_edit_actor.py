@@ -10,7 +10,7 @@ from tests.arenas import COURSE
 from tests.server.still_world import CLASS, StillWorld
 from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
-from usarmjx.sensors.settings import CameraSettings
+from usarmjx.sensors.cameras.mounts import CameraSettings
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.edit_actor import PARAMETERS, edit_actor
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

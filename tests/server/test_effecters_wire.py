@@ -16,7 +16,7 @@ from tests.server.peers import say
 from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import EFFECTERS, Effect, Effecter, Opcode
-from usarmjx.models.effecters.gripper import LEVER
+from usarmjx.models.effecters.standard import LEVER
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.protocol.grammar import parse_message

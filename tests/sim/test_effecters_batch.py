@@ -15,7 +15,7 @@ from tests.handy import GRABBER, TAGGER, block, known
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.effecters import MAX_DROPPED_TAGS
-from usarmjx.models.effecters.gripper import LEVER
+from usarmjx.models.effecters.standard import LEVER
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import StartPose
 from usarmjx.models.types.robot import Mount, options

@@ -10,9 +10,8 @@ from tests.view.simple_worlds import CAMERA_AT, HandMadeSource, drawing_of
 from tests.view.visitor import until, visiting
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.view import page as page_module
-from usarmjx.view.client_page import STYLE
 from usarmjx.view.layers import LAYERS
-from usarmjx.view.page import BOARD_SHARE, FREE, NEXT, SIDE_BY_SIDE, TOGGLE, ViewerPage
+from usarmjx.view.page import BOARD_SHARE, FREE, NEXT, SIDE_BY_SIDE, STYLE, TOGGLE, ViewerPage
 
 
 @pytest.fixture

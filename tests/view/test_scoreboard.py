@@ -7,10 +7,10 @@ import pytest
 import viser
 
 from tests.view.simple_worlds import drawing_of, frame_of
-from usarmjx.view.client_page import HELD, ICON, LIBRARY, MARK, PRODUCT, page_folder, page_text
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, DrawnMount, DrawnTag
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.marks import DROPPED_RGB, TAG_RGB
+from usarmjx.view.page import HELD, ICON, LIBRARY, MARK, PRODUCT, page_folder, page_text
 from usarmjx.view.scoreboard import (
     ENTRIES,
     BoardFacts,

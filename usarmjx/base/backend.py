@@ -4,12 +4,17 @@ A batch is traced and compiled: `xp` is `jax.numpy` by default. A world that cli
 a compiler: inside `with numpy_backend():` the same functions run on NumPy without compilation, with the same
 random numbers. The two differ only in the last bits of single precision, because XLA fuses products and sums
 (`tests/base/test_backend.py`).
+
+`jax_entry_points` guards the methods through which programs use JAX: single precision, and no forked process.
 """
 
+import os
+import sys
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import wraps
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, cast
 
 import jax
@@ -18,6 +23,7 @@ import numpy as np
 
 from usarmjx.base import numpy_arrays
 from usarmjx.base.arrays import Array
+from usarmjx.base.errors import UsageError
 
 T = TypeVar("T")
 Params = ParamSpec("Params")
@@ -209,3 +215,62 @@ def _rows(arg: Any, axis: Any) -> tuple[int | None, Callable[[int], Any]]:  # no
         return jax.tree.unflatten(tree, picked)
 
     return count, row
+
+
+Guarded = TypeVar("Guarded", bound=type)
+FORKED = (
+    "this process was forked from one in which JAX had started, and would hang: start it with 'spawn', as "
+    "AsyncVectorEnv(..., context='spawn'), SubprocVecEnv(..., start_method='spawn') or "
+    "DataLoader(..., multiprocessing_context='spawn')"
+)
+
+
+class _Process:
+    """Whether this process can use JAX."""
+
+    is_forked = False
+
+
+def _note_fork() -> None:
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    started = getattr(bridge, "backends_are_initialized", lambda: bridge is not None)
+    # A fork of a fork stays unusable.
+    _Process.is_forked = _Process.is_forked or bool(started())
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_fork)
+
+
+def check_not_forked() -> None:
+    """Refuse a process that was forked after JAX had started: its threads are missing there.
+
+    Raises:
+        UsageError: It was; names the way out.
+    """
+    if _Process.is_forked:
+        raise UsageError(FORKED)
+
+
+def jax_entry_points(cls: Guarded) -> Guarded:
+    """Guard the constructor and all methods that a class defines; a decorator.
+
+    They compute in single precision whatever `jax_enable_x64` says, and raise a `UsageError` in a process
+    that was forked after JAX had started.
+    """
+    for name, method in list(vars(cls).items()):
+        if isinstance(method, FunctionType) and (name == "__init__" or not name.startswith("__")):
+            setattr(cls, name, _guarded(method))
+    return cls
+
+
+def _guarded(method: FunctionType) -> FunctionType:
+    precise, settings = single_precision(method), cast(Any, jax.config)
+
+    @wraps(method)
+    def run(*args: object, **kwargs: object) -> object:
+        check_not_forked()
+        # Every step comes here: another call would be a third of what the guard costs.
+        return (precise if settings.jax_enable_x64 else method)(*args, **kwargs)
+
+    return run  # type: ignore[return-value] - of the same signature

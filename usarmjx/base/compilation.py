@@ -4,7 +4,7 @@ JAX and Warp read their cache folders from environment variables when they are i
 before; child processes inherit them. Variables that the user has set stay. The cache is in the user's cache
 folder.
 
-Commands say what they do, see `cli.startup_messages`; a script that calls `make` or `Batch` would wait half a
+Commands say what they do, see `cli.common`; a script that calls `make` or `Batch` would wait half a
 minute in silence. The line comes once in a process. The environment variable `USARMJX_QUIET` keeps it away.
 """
 

@@ -7,9 +7,8 @@ from typing import Annotated, Any, ClassVar
 import typer
 
 import usarmjx
-from usarmjx.cli.common import BAD_INPUT
+from usarmjx.cli.common import BAD_INPUT, say
 from usarmjx.cli.lazy_commands import LazyGroup
-from usarmjx.cli.startup_messages import say
 
 RENAMED: Mapping[str, Mapping[str, str]] = {
     "serve": {"--viewer": "--view", "--no-viewer": "--no-view"},

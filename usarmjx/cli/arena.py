@@ -15,13 +15,13 @@ from usarmjx.cli.common import (
     PackagesOption,
     PiecesOption,
     SeedOption,
+    announce,
     chosen_out,
     named,
     read_size,
 )
 from usarmjx.cli.known_names import complete_kinds, complete_robots
 from usarmjx.cli.listing import MarkdownFlag, check_form, show_listing
-from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
     from usarmjx.models.types.arena import ArenaSpec
@@ -109,14 +109,14 @@ def check(
     """List the faults of an arena; exit code 1 if there are any."""
     with ErrorExit():
         announce(f"checking arena {arena} ...")
-        from usarmjx.models.check.arena import check_arena
+        from usarmjx.models.check import check_arena
         from usarmjx.models.files.load import find_arena
 
         found = find_arena(arena)
         faults = check_arena(found, robot)
         if drive:
             from usarmjx.models.files.find_robot import find_robot
-            from usarmjx.sim.trials.routes import drive_arena
+            from usarmjx.sim.trials import drive_arena
 
             announce(f"driving a {robot} ...")
             tour = drive_arena(found, find_robot(robot))
@@ -248,7 +248,7 @@ def lane(
         announce(f"driving a {robot} in lane {name} ...")
         from usarmjx.models.arenas.lanes import LANES
         from usarmjx.models.files.find_robot import find_robot
-        from usarmjx.sim.trials.driver import run_lane
+        from usarmjx.sim.trials import run_lane
 
         if not (0.0 < speed <= 1.0 and 0.0 < minutes <= MOST_MINUTES):
             raise UsageError(f"speed is above 0 and up to 1, minutes above 0 and up to {MOST_MINUTES:g}")
@@ -290,7 +290,7 @@ def obstacles(
             typer.echo(obstacles_table(robot, tries))
             return
         from usarmjx.models.files.find_robot import find_robot
-        from usarmjx.sim.trials.obstacles import write_success
+        from usarmjx.sim.trials import write_success
 
         write_success(find_robot(robot), tries, write)
         typer.echo(f"wrote {write}")

@@ -8,9 +8,8 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, SeedOption
+from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, SeedOption, announce, say
 from usarmjx.cli.known_names import check_name
-from usarmjx.cli.startup_messages import announce, say
 
 COMPARED = "c", "planar"
 """The engines of all but --tasks."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.common import ErrorExit, announce
 from usarmjx.cli.serving_options import (
     Host,
     ListenOptions,
@@ -23,7 +23,6 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
     port_of,
 )
-from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewerPortOption
 from usarmjx.server.network.ports import BOT_PORT, LAST_PORT, bound_socket
 from usarmjx.server.runtime.signals import StopSignals

@@ -24,7 +24,7 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.picture import run_picture, tracked_poses
-from usarmjx.server.runtime.parent_pipe import ParentPipe
+from usarmjx.server.runtime.signals import ParentPipe
 
 if TYPE_CHECKING:
     from usarmjx.models.types.arena import ArenaSpec

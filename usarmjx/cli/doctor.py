@@ -25,8 +25,7 @@ from usarmjx.base import process
 from usarmjx.base.compilation import CACHE_VARIABLE, cache_folder, enable_compilation_cache
 from usarmjx.base.errors import UsarmjxError, quoted
 from usarmjx.base.installation import install_command
-from usarmjx.cli.common import ErrorExit, JsonFlag
-from usarmjx.cli.startup_messages import announce, say
+from usarmjx.cli.common import ErrorExit, JsonFlag, announce, say
 from usarmjx.server.network.ports import (
     BOT_PORT,
     IMAGE_PORT,

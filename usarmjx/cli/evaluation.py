@@ -16,8 +16,11 @@ from usarmjx.cli.common import (
     PiecesOption,
     SeedOption,
     TaskRobotOption,
+    announce,
     ends_on_signals,
     named,
+    say,
+    tried_on,
     with_robot,
 )
 from usarmjx.cli.known_names import (
@@ -28,7 +31,6 @@ from usarmjx.cli.known_names import (
     complete_tasks,
 )
 from usarmjx.cli.setting_options import with_settings
-from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import (
     PolicyEngineOption,
     PolicyOptions,

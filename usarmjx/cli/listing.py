@@ -20,10 +20,10 @@ from usarmjx.cli.common import (
     RobotFilesOption,
     UnitOption,
     add_robots,
+    announce,
     configure_from,
 )
 from usarmjx.cli.known_names import complete_listings
-from usarmjx.cli.startup_messages import announce
 
 EVERYTHING, COMMANDS, SETTINGS = "everything", "commands", "settings"
 MarkdownFlag = Annotated[bool, typer.Option("--markdown", help="Print Markdown, as the documents have it.")]

@@ -13,10 +13,10 @@ from usarmjx.cli.common import (
     PackagesOption,
     PiecesOption,
     RadioIniOption,
+    announce,
     chosen_out,
 )
 from usarmjx.cli.known_names import check_name, complete_robots
-from usarmjx.cli.startup_messages import announce
 
 
 def portraits(

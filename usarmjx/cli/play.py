@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.cli.common import ErrorExit, WorldsOption, ends_on_signals, unwinds_on_signals
+from usarmjx.cli.common import ErrorExit, WorldsOption, announce, ends_on_signals, unwinds_on_signals
 from usarmjx.cli.recordings import recorded_episode
 from usarmjx.cli.serving_options import (
     Host,
@@ -22,7 +22,6 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
 )
 from usarmjx.cli.setting_options import with_settings
-from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.task_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.signals import StopSignals

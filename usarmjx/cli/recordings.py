@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli.common import ErrorExit
-from usarmjx.cli.startup_messages import announce, say
+from usarmjx.cli.common import ErrorExit, announce, say
 from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_socket
 
 if TYPE_CHECKING:

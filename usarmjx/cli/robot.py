@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.base.settings import parse_assignments
-from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption, PiecesOption, named
+from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption, PiecesOption, announce, named
 from usarmjx.cli.known_names import complete_robots
-from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
     from usarmjx.models.types.robot import Motor, Part, RobotSpec
@@ -37,7 +36,7 @@ def check(
     """Print the robot of a file, and the parts that are left out; exit code 1 if it does not stand."""
     with ErrorExit():
         announce(f"reading {file} ...")
-        from usarmjx.models.check.robot import robot_faults
+        from usarmjx.models.check import robot_faults
         from usarmjx.models.files.find_robot import check_robot_file
         from usarmjx.models.files.robot_file import load_robot
 

@@ -19,6 +19,7 @@ from usarmjx.cli.common import (
     UnitOption,
     WorldsOption,
     add_robots,
+    announce,
     configure_from,
 )
 from usarmjx.cli.known_names import check_roster
@@ -34,7 +35,6 @@ from usarmjx.cli.serving_options import (
     instances_of,
 )
 from usarmjx.cli.setting_options import with_config, with_settings
-from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.logs import configure_log
 from usarmjx.server.runtime.signals import StopSignals

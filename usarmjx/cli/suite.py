@@ -9,9 +9,8 @@ import typer
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.registry import unknown_name
-from usarmjx.cli.common import ErrorExit, ends_on_signals
+from usarmjx.cli.common import ErrorExit, announce, ends_on_signals, tried_on
 from usarmjx.cli.known_names import check_run
-from usarmjx.cli.startup_messages import announce, tried_on
 from usarmjx.cli.sweep import CellEngineOption, RunOnOption, SweepQuietOption, WorkerCountOption, say_line
 
 app = typer.Typer(no_args_is_help=True, help="Play methods through a suite of tasks, and rank them.")

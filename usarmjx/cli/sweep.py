@@ -14,13 +14,15 @@ from usarmjx.cli.common import (
     PackagesOption,
     PiecesOption,
     TaskRobotOption,
+    announce,
     ends_on_signals,
     named,
+    say,
+    tried_on,
     with_robot,
 )
 from usarmjx.cli.known_names import check_file, complete_engines
 from usarmjx.cli.lazy_commands import import_benchmarks
-from usarmjx.cli.startup_messages import announce, say, tried_on
 
 COMMANDS = ("run", "show", "compare", "report")
 

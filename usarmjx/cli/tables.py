@@ -223,7 +223,7 @@ def obstacles_table(robot: str, tries: int) -> str:
     """Return a Markdown table: how often, and how fast, a class gets over obstacles sized to it."""
     from usarmjx.models.files.find_robot import find_robot
     from usarmjx.models.generate.obstacles import OBSTACLES
-    from usarmjx.sim.trials.obstacles import measure_crossings
+    from usarmjx.sim.trials import measure_crossings
 
     levels, spec = (0.0, 0.5, 1.0), find_robot(robot)
     rows = list[Sequence[object]]()

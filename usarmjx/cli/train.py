@@ -25,14 +25,16 @@ from usarmjx.cli.common import (
     PiecesOption,
     PortOffsetOption,
     TaskRobotOption,
+    announce,
     chosen_out,
     named,
+    say,
+    tried_on,
     with_robot,
 )
 from usarmjx.cli.known_names import check_policy, complete_tasks
 from usarmjx.cli.recordings import PicturesOption, RecordOption, export_recording
 from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table
-from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import PolicyEngineOption, task_text
 from usarmjx.cli.train_plan import (
     TrainOptions,
@@ -46,14 +48,14 @@ from usarmjx.cli.train_plan import (
     trains_seeds,
 )
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
-from usarmjx.server.runtime.parent_pipe import ParentPipe
+from usarmjx.server.runtime.signals import ParentPipe
 
 if TYPE_CHECKING:
     from usarmjx.plots.play import Sink
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
     from usarmjx.train.learning.config import Config
-    from usarmjx.train.learning.stopping import StopRequest
+    from usarmjx.train.learning.trainer import StopRequest
     from usarmjx.train.learning.trajectory import RolloutInputs
 
 
@@ -327,14 +329,14 @@ class _Shown:
 
 def _joined() -> bool:
     """Return whether this process is one of several that train together."""
-    from usarmjx.train.learning.launch import process_info
+    from usarmjx.train.learning.processes import process_info
 
     return process_info(os.environ) is not None
 
 
 def _run_training(task: str, options: TrainOptions, shown: _Shown, processes: int) -> None:
     """Train in this process or start several, show it where the options say, and print the score."""
-    from usarmjx.train.learning.launch import process_info, spawn
+    from usarmjx.train.learning.processes import process_info, spawn
 
     if processes > 1 and not _joined():
         raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
@@ -554,7 +556,7 @@ class _RecordedFaults:
     def begin(self, env: "Env", config: "Config") -> None:
         """Take the training's worlds and its settings."""
         if config.black_box:
-            from usarmjx.recording.black_box import BlackBox
+            from usarmjx.recording.episodes import BlackBox
 
             self._box = BlackBox(env, self._folder, config.black_box, say)
 

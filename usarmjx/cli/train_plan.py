@@ -12,9 +12,8 @@ import typer
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import FileValue, Text, default_reader, parse_assignments, read_file
 from usarmjx.base.settings.json_file import read_json
-from usarmjx.cli.common import ends_on_signals
+from usarmjx.cli.common import announce, ends_on_signals, say, tried_on
 from usarmjx.cli.setting_options import option_name
-from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import field_texts, fields_over
 
 if TYPE_CHECKING:
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.task import Task
     from usarmjx.train.learning.config import Config, EnvArguments
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
-    from usarmjx.train.learning.stopping import StopRequest
-    from usarmjx.train.learning.trainer import TrainResult
+    from usarmjx.train.learning.trainer import StopRequest, TrainResult
 
 
 SET_FILE = "seeds.json"
@@ -213,7 +211,7 @@ def _as_usual(task: str, engine: str, asked: RunSettings) -> tuple[str, RunSetti
 @contextmanager
 def stop_request() -> "Generator[StopRequest]":
     """Yield the request that signals make of a training; before its first iteration they end the process."""
-    from usarmjx.train.learning.stopping import StopRequest
+    from usarmjx.train.learning.trainer import StopRequest
 
     with ExitStack() as early:
         early.enter_context(ends_on_signals())
@@ -236,7 +234,7 @@ def check_alone(views: Mapping[str, bool], processes: int) -> None:
     Raises:
         UsageError: Names it.
     """
-    from usarmjx.train.learning.launch import process_info
+    from usarmjx.train.learning.processes import process_info
 
     if processes > 1 or process_info(os.environ) is not None:
         raise UsageError("several seeds train in one process: leave out --processes, or --seeds")

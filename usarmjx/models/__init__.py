@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from usarmjx.base.settings import SHARE as SHARE
     from usarmjx.base.settings import Setting as Setting
     from usarmjx.models.arenas import ARENAS as ARENAS
-    from usarmjx.models.check.arena import check_arena as check_arena
+    from usarmjx.models.check import check_arena as check_arena
     from usarmjx.models.compile.kinematic_tree import KinematicTree as KinematicTree
     from usarmjx.models.compile.kinematic_tree import kinematic_tree_of as kinematic_tree_of
     from usarmjx.models.compile.kinematic_tree import with_measurements as with_measurements
@@ -72,7 +72,7 @@ else:
             "usarmjx.base.backend": ("fori_loop", "set_at", "vmap", "xp"),
             "usarmjx.base.settings": ("NOT_NEGATIVE", "POSITIVE", "SHARE", "Setting"),
             "usarmjx.models.arenas": ("ARENAS",),
-            "usarmjx.models.check.arena": ("check_arena",),
+            "usarmjx.models.check": ("check_arena",),
             "usarmjx.models.compile.physics": ("Physics",),
             "usarmjx.models.compile.kinematic_tree": (
                 "KinematicTree",

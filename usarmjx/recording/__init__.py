@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from usarmjx.base.lazy import attach
 
 if TYPE_CHECKING:
-    from usarmjx.recording.black_box import BlackBox as BlackBox
+    from usarmjx.recording.episodes import BlackBox as BlackBox
     from usarmjx.recording.reader import RecordedMessage as RecordedMessage
     from usarmjx.recording.reader import Recording as Recording
     from usarmjx.recording.recorder import WorldRecorder as WorldRecorder
@@ -24,7 +24,7 @@ else:
     __getattr__, __dir__, __all__ = attach(
         __name__,
         {
-            "usarmjx.recording.black_box": ("BlackBox",),
+            "usarmjx.recording.episodes": ("BlackBox",),
             "usarmjx.recording.reader": ("RecordedMessage", "Recording"),
             "usarmjx.recording.recorder": ("WorldRecorder",),
             "usarmjx.recording.replay": ("ReplayResult", "check_recording"),

@@ -1,4 +1,8 @@
-"""Range sensors: sonar, infrared, range scanners and lidar (manual 10.2, 10.3)."""
+"""Range sensors: sonar, infrared, range scanners and lidar (manual 10.2, 10.3).
+
+The line laser and the object sensor, a scanner whose message names what its beams meet, are those of
+USARSim's later versions, after LineLaser.uc and ObjectSensor.uc (`hrnr/robocup-usarsim`).
+"""
 
 import math
 from dataclasses import dataclass
@@ -12,6 +16,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE, Setting
+from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN
 from usarmjx.models.types.shapes import GLASS, SKY
@@ -21,12 +26,14 @@ from usarmjx.sensors.base import (
     OutputCurve,
     Sensor,
     SensorInput,
+    SensorSettings,
     apply_output_curve,
     curve_problem,
     noisy,
     vectorized,
 )
 from usarmjx.sensors.rays.bundles import Fans
+from usarmjx.sensors.sketch import OverlayLines, empty_overlay
 
 MAX_BEAMS = 65_536
 """Largest number of beams of a scan; a larger one is an error in its resolution."""
@@ -471,3 +478,120 @@ class Lidar(RangeScanner3D):
 
 
 SENSORS.add(Lidar.kind, Lidar)
+
+
+RED = np.array([1.0, 0.0, 0.0], np.float32)
+"""Colour of its light (LineLaser.uc)."""
+
+
+@dataclass(frozen=True)
+class LineLaserSettings(SensorSettings):
+    """Keys of `[USARSensor.LineLaser]`, with the values of the later versions' DefaultUSAR.ini.
+
+    Attributes:
+        scan_interval: Time between two scans [s].
+        min_range: Shortest distance that its CONF states; scans are not clipped to it [m].
+        max_range: Length of its beams [m].
+        fov: Angle from the first beam to the one after the last [rad].
+        beams: Number of beams, and the one after the last; the later versions' Resolution.
+    """
+
+    scan_interval: float = 0.1
+    min_range: Annotated[float, NOT_NEGATIVE] = 0.1
+    max_range: Annotated[float, POSITIVE] = 5.0
+    fov: Annotated[float, TURN, Setting(manual_key="FOV")] = 1.570796
+    beams: Annotated[int, Setting(ge=2, le=MAX_BEAMS)] = 120
+
+
+def line_directions(settings: LineLaserSettings) -> np.ndarray:
+    """Return the unit directions of the beams about the x axis, from left to right (beams - 1, 3)."""
+    left = settings.fov / 2 - settings.fov / (settings.beams - 1) * np.arange(settings.beams - 1)
+    return np.stack([np.cos(left), np.sin(left), np.zeros_like(left)], -1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class LineLaser(Sensor):
+    """Laser line; value: position [m] and roll, pitch, yaw [rad] of the laser, points of the line [m] (1 + beams, 3).
+
+    All in world axes. A beam that meets nothing ends at MaxRange. Pictures show the points that it meets.
+    """  # noqa: E501 - the first line is a table's row
+
+    kind = "LineLaser"
+    settings_class = LineLaserSettings
+
+    @property
+    def max_distance(self) -> float:
+        """MaxRange [m]."""
+        return self.settings[0].max_range
+
+    @vectorized
+    def fans(self, bodies: BodyPoses) -> Fans:
+        """Return its beams."""
+        return Fans(*self.mount_poses(bodies), self._fan)
+
+    @cached_property
+    def _fan(self) -> np.ndarray:
+        """Directions of all beams, as one fan (1, beams - 1, 3)."""
+        return line_directions(self.settings[0])[None]
+
+    def init_memory(self, inputs: SensorInput, key: Array) -> OverlayLines:
+        """Return an overlay without points."""
+        del inputs, key
+        return empty_overlay(self._fan.shape[1])
+
+    @vectorized
+    def read(self, inputs: SensorInput, memory: OverlayLines, key: Array) -> tuple[OverlayLines, Array]:
+        """Scan once."""
+        del memory, key
+        pos, mat = self.mount_poses(inputs.bodies)
+        origin, along = self.fans(inputs.bodies).rays()
+        met = inputs.hits.distance <= self.max_distance
+        points = origin + xp.minimum(inputs.hits.distance, self.max_distance)[..., None] * along
+        pose = xp.stack([pos[..., 0, :], angles_from_mat(mat[..., 0, :, :], xp)], -2)
+        red = xp.broadcast_to(RED, points.shape)
+        drawn = OverlayLines(start=points, end=points, rgb=red, shown=met)
+        return drawn, xp.concatenate([pose, points], -2)
+
+    @property
+    def has_overlay(self) -> bool:
+        """True: its light is visible."""
+        return True
+
+    def overlay(self, memory: OverlayLines) -> OverlayLines:
+        """Return the points that the last scan met."""
+        return memory
+
+
+SENSORS.add(LineLaser.kind, LineLaser)
+
+
+@dataclass(frozen=True)
+class ObjectSensorSettings(ScannerSettings):
+    """Keys of `[USARSensor.ObjectSensor]`, with the range scanner's values of the later DefaultUSAR.ini.
+
+    Attributes:
+        scan_interval: Time between scans [s]; 0 is manual mode: scan on the SCAN command only.
+        max_range: Length of the beams [m].
+        resolution: Angle between two beams [rad].
+        scan_fov: Angle from the first beam to the last [rad].
+    """
+
+    scan_interval: float = 0.2
+    max_range: Annotated[float, POSITIVE] = 4.0
+    resolution: Annotated[float, ANGLE_STEP] = 0.157
+    scan_fov: Annotated[float, TURN] = 3.14
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectSensor(RangeScanner):
+    """Scanner that names what its beams meet; value: ranges [m] (beams,).
+
+    The message of a served world has the objects in place of the ranges.
+    """
+
+    kind = "ObjectSensor"
+    names_objects = True
+    settings_class = ObjectSensorSettings
+
+
+SENSORS.add(ObjectSensor.kind, ObjectSensor)

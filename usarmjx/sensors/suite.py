@@ -21,38 +21,17 @@ from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, v
 from usarmjx.base.clock import Clock, intervals_in_steps, next_due
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree, kinematic_tree_of
-from usarmjx.models.types.robot import RobotSpec
-from usarmjx.sensors import (
-    attitude,
-    co2,
-    gps,
-    human_motion,
-    inertial,
-    kinect,
-    later,
-    line_laser,
-    motion,
-    object_sensor,
-    point_cloud,
-    power,
-    ranging,
-    rfid,
-    sound,
-    touch,
-    victim,
-)
+from usarmjx.models.types.robot import RobotSpec, resolve_settings
+from usarmjx.sensors import gps, inertial, motion, power, ranging, rfid, swept, touch, victim
 from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_vectorized
+from usarmjx.sensors.cameras.mounts import resolve_camera
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, RobotsRayCaster, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
-from usarmjx.sensors.settings import resolve_camera, resolve_settings
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
 __all__ = ["SENSORS", "SENSOR_MODULES"]
 
-SENSOR_MODULES = (
-    *(attitude, co2, gps, human_motion, inertial, kinect, later, line_laser, motion, power, ranging, rfid),
-    *(object_sensor, point_cloud, sound, touch, victim),
-)
+SENSOR_MODULES = (gps, inertial, motion, power, ranging, rfid, swept, touch, victim)
 """Modules whose import registers sensor types; a new module belongs here."""
 
 

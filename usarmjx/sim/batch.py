@@ -16,9 +16,8 @@ from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import numpy_backend, set_at
+from usarmjx.base.backend import jax_entry_points, numpy_backend, set_at
 from usarmjx.base.compilation import NOTICE, enable_cache_after_import
-from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.base.tables import facts_table

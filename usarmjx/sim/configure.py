@@ -17,7 +17,7 @@ from usarmjx.models.ini.robots import LoadedRobots, build_robots, read_files
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import SENSORS
-from usarmjx.sensors.settings import CameraSettings, overload
+from usarmjx.sensors.cameras.mounts import CameraSettings, overload
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.scene import parking_position, prefix_of
 from usarmjx.sim.single_world import SingleWorld

@@ -264,7 +264,7 @@ def board_html(
     log: MissionLog,
     layers: Collection[str] = (),
 ) -> str:
-    """Return the scoreboard and the legend as HTML; `client_page` puts them over the picture.
+    """Return the scoreboard and the legend as HTML; `page` puts them over the picture.
 
     Args:
         title: Name of the world.

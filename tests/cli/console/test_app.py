@@ -14,11 +14,12 @@ from textual.widgets import Input, RichLog, Static, TabbedContent
 from tests.server.peers import PATIENCE, serving
 from tests.server.watchers import classes, gallery
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.console.app import BUTTONS, VIEW, ConsoleApp, ConsoleOptions
-from usarmjx.cli.console.client import ConsoleClient, Transcript
-from usarmjx.cli.console.driving import ACTIONS, AXIS, EVENT, FULL
-from usarmjx.cli.console.panes import (
+from usarmjx.cli.console.app import (
+    BUTTONS,
+    VIEW,
     CommandLine,
+    ConsoleApp,
+    ConsoleOptions,
     KeyPad,
     PictureView,
     SensorTree,
@@ -26,6 +27,8 @@ from usarmjx.cli.console.panes import (
     longest_range,
     range_bars,
 )
+from usarmjx.cli.console.client import ConsoleClient, Transcript
+from usarmjx.cli.console.driving import ACTIONS, AXIS, EVENT, FULL
 from usarmjx.cli.console.pictures import PictureFiles, PictureStream, decode, half_blocks
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings

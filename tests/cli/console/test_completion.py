@@ -4,8 +4,15 @@ import pytest
 
 from tests.cli.console.robots import Driven
 from usarmjx.base.errors import PeerError
-from usarmjx.cli.console.completion import Completer, common_beginning
-from usarmjx.cli.console.knowledge import KEYS, SENSOR_OPCODES, SENSOR_TYPES, Knowledge, heads
+from usarmjx.cli.console.knowledge import (
+    KEYS,
+    SENSOR_OPCODES,
+    SENSOR_TYPES,
+    Completer,
+    Knowledge,
+    common_beginning,
+    heads,
+)
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.base import SENSORS
 from usarmjx.server.protocol.command_parsers import COMMANDS

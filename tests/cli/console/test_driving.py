@@ -12,6 +12,7 @@ from tests.arenas import FLAT
 from tests.cli.console.robots import Driven
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
+from usarmjx.cli.console.app import DRIVING_KEYS
 from usarmjx.cli.console.driving import (
     ACTIONS,
     AT_FIRST,
@@ -29,7 +30,6 @@ from usarmjx.cli.console.driving import (
     link_axis,
 )
 from usarmjx.cli.console.knowledge import Knowledge, PackageLink
-from usarmjx.cli.console.panes import DRIVING_KEYS
 from usarmjx.models.types.arena import Water
 from usarmjx.server.worlds.served_world import CameraRequest
 

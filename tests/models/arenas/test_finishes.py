@@ -12,7 +12,7 @@ from usarmjx.models.arenas.elements import CELL, WOOD
 from usarmjx.models.arenas.lanes import LANES
 from usarmjx.models.arenas.league_hall import wall_sign
 from usarmjx.models.arenas.pieces import BARE, finished
-from usarmjx.models.arenas.yellow_2025 import YELLOW_2025
+from usarmjx.models.arenas.yellow import YELLOW_2025
 from usarmjx.models.types.shapes import GLASS, Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

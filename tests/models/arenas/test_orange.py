@@ -24,7 +24,7 @@ from usarmjx.models.arenas.orange import (
     WEST,
     cell,
 )
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.shapes import GLASS

@@ -14,7 +14,7 @@ from usarmjx.base.transforms import flip_vector
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.elements import POST, STEP_FIELDS
 from usarmjx.models.arenas.red import LANE, PLANE_X, PLANE_Y, PLATFORM, RED, cell
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.robots import ROBOTS
 

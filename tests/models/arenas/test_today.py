@@ -8,15 +8,14 @@ import pytest
 from tests.terrain import heights
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.league_hall import BACK, BOX_LENGTH, EYES, HOLE, SLOT, victim_box
-from usarmjx.models.arenas.orange_2025 import HALL, ORANGE_2025
-from usarmjx.models.arenas.red_2025 import RED_2025
-from usarmjx.models.arenas.yellow import YELLOW
-from usarmjx.models.arenas.yellow_2025 import YELLOW_2025
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.arenas.orange import HALL, ORANGE_2025
+from usarmjx.models.arenas.red import RED_2025
+from usarmjx.models.arenas.yellow import YELLOW, YELLOW_2025
+from usarmjx.models.check import check_arena
 from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import START_ELEVATION, StartPose
-from usarmjx.sim.trials.driver import Trial
+from usarmjx.sim.trials import Trial
 
 TODAY = (YELLOW_2025, ORANGE_2025, RED_2025)
 RAMP = math.tan(math.radians(15))

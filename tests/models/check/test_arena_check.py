@@ -8,7 +8,7 @@ import pytest
 
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.types.arena import ArenaSpec, Door, LooseObject, StartPose, Tag, Victim, Water
 from usarmjx.models.types.shapes import HeightField, Shape
 

@@ -16,8 +16,7 @@ from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.parts import joint_names, parts_of
 from usarmjx.models.effecters import EFFECTERS, effecters_of
-from usarmjx.models.effecters.gripper import LEVER
-from usarmjx.models.effecters.roller import RADIUS
+from usarmjx.models.effecters.standard import LEVER, RADIUS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import CHASSIS, UP, Motor, Mount, Part, options

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import dev
 from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import BONES, POSTURES

@@ -11,7 +11,7 @@ from PIL import Image
 import dev
 from tests.models.files.worlds import PYRAMID
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files import maps

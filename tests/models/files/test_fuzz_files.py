@@ -37,9 +37,9 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import describe
 from usarmjx.models import load_robot
 from usarmjx.models.files.load import load_arena
+from usarmjx.models.files.maps import moving_ai_content
 from usarmjx.models.files.meshes import load_convex_pieces
 from usarmjx.models.files.mjcf import mjcf_content
-from usarmjx.models.files.moving_ai import moving_ai_content
 from usarmjx.models.files.sdf import sdf_content
 from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as arrays
 
 from tests.models.files.worlds import write
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.files.load import load_arena, read_arena
 from usarmjx.models.files.maps import MAX_DISJOINT, cover, overlapping_rectangles, rectangles
 from usarmjx.models.files.mesh_solids import convex_parts

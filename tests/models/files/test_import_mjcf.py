@@ -12,7 +12,7 @@ from usarmjx.models.files.robot_file import load_robot, robot_from_mjcf
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount
-from usarmjx.sensors.settings import carried_weight
+from usarmjx.sensors.cameras.mounts import carried_weight
 
 MASS_ATOL = 1e-6  # kg
 POSE_ATOL = 1e-5  # m, and the elements of rotation matrices

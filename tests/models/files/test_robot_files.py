@@ -11,7 +11,7 @@ import pytest
 from tests.models.files.test_import_mjcf import compare, composed
 from usarmjx.base.errors import ArenaFileError, SpecError, UsageError
 from usarmjx.models import load_robot
-from usarmjx.models.check.robot import settling_distance
+from usarmjx.models.check import settling_distance
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
 from usarmjx.models.files import reader_child, reader_process
@@ -451,7 +451,7 @@ def test_files_that_only_some_readers_take_are_mended(load):
 def test_a_heavy_robot_drives_as_fast_as_its_wheels(load):
     """The gains of a motor fit the robot that it moves, not the wheel alone: 120 kg on light wheels."""
     from tests.arenas import FLAT
-    from usarmjx.sim.trials.driver import Trial
+    from usarmjx.sim.trials import Trial
 
     light = (
         WHEEL.replace('mass value="1"', 'mass value=".3"').replace(".003", ".0006").replace(".005", ".001")
@@ -572,7 +572,7 @@ def test_legs_hold_their_robot_by_the_files_motors(load):
 def test_a_chassis_that_reaches_the_ground_beside_its_wheels_slides(load):
     """A hull between the wheels that is as low as they are would hold the robot."""
     from tests.arenas import FLAT
-    from usarmjx.sim.trials.driver import Trial
+    from usarmjx.sim.trials import Trial
 
     loaded = load(cart().replace('xyz="0 0 .1"/><geometry><box', 'xyz="0 0 -.05"/><geometry><box'))
     assert loaded.robot.chassis[0].surface == "caster"

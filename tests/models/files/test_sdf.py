@@ -12,7 +12,7 @@ from PIL import Image
 from tests.models.files.worlds import PYRAMID, world, write
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.load import load_arena, read_arena

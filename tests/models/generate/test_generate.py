@@ -20,7 +20,7 @@ from usarmjx.models.compile.compose import ARENA_PREFIX, LOOSE_PREFIX, VICTIM_PR
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.reachability import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.generate import KINDS, Difficulty, budget, generate, generate_many
-from usarmjx.models.generate.contents import FORMS
+from usarmjx.models.generate.arena import FORMS
 from usarmjx.models.generate.obstacles import STOREY
 from usarmjx.models.generate.plan import CELL, WALL_HEIGHT
 from usarmjx.models.generate.random_stream import RandomStream

@@ -21,7 +21,7 @@ from usarmjx.models.generate.obstacles import (
 from usarmjx.models.generate.plan import CELL
 from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.robots import ROBOTS
-from usarmjx.sim.trials.obstacles import LEVELS, MIN_SUCCESS
+from usarmjx.sim.trials import LEVELS, MIN_SUCCESS
 
 NEED = footprint_of(ROBOTS.get("P2AT"))
 NO_STEP, NO_SLOPE = 0.004, np.radians(3)  # m: who climbs nothing, not even the lowest obstacle

@@ -7,7 +7,7 @@ import pytest
 from tests.models.ini.texts import load_texts
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.sensors.settings import carried_weight
+from usarmjx.sensors.cameras.mounts import carried_weight
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.gamebots.sensors import configuration
 from usarmjx.server.protocol.grammar import format_message

@@ -8,11 +8,9 @@ from usarmjx.base.registry import Registry
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.sensors.human_motion import HumanMotionSettings
 from usarmjx.sensors.rfid import RfidSettings
-from usarmjx.sensors.sound import SoundSettings
 from usarmjx.sensors.suite import suite_of
-from usarmjx.sensors.victim import VictSensorSettings
+from usarmjx.sensors.victim import HumanMotionSettings, SoundSettings, VictSensorSettings
 from usarmjx.sim.configure import settings_by_kind
 
 CURVE = "OutputCurve=(Points=((InVal=0.000000,OutVal=0.000000),(InVal=1000.000000,OutVal=1000.000000)))"

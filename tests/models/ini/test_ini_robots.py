@@ -19,7 +19,7 @@ from usarmjx.models.robots.lisa import LISA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import CHASSIS, Motor, options
-from usarmjx.sensors.settings import carried_weight, overload
+from usarmjx.sensors.cameras.mounts import carried_weight, overload
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure
 

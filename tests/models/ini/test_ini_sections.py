@@ -8,8 +8,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options
-from usarmjx.sensors.cameras.mounts import cameras_of
-from usarmjx.sensors.settings import resolve_camera
+from usarmjx.sensors.cameras.mounts import cameras_of, resolve_camera
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.models.drives.ackermann import Ackermann, Wheel
+from usarmjx.models.drives.ground import Ackermann, Wheel
 from usarmjx.models.robots.cars import HUMMER, SEDAN
 from usarmjx.sim.control import ControlMode, idle_command, set_drive
 

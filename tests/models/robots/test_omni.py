@@ -7,8 +7,7 @@ import pytest
 
 from tests.rig import Rig, steady_spin
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.models.drives.ackermann import Wheel
-from usarmjx.models.drives.ground import OmniDrive
+from usarmjx.models.drives.ground import OmniDrive, Wheel
 from usarmjx.models.robots.lisa import LISA
 from usarmjx.sim.control import idle_command, set_drive
 

@@ -18,9 +18,8 @@ from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import Light
 from usarmjx.models.types.robot import options
-from usarmjx.sensors.cameras.imaging import box_filter, quantize
 from usarmjx.sensors.cameras.lenses import from_tiles, pinhole_rays
-from usarmjx.sensors.cameras.mounts import cameras_of
+from usarmjx.sensors.cameras.mounts import box_filter, cameras_of, quantize
 from usarmjx.sensors.cameras.picture import camera_viewpoint, render_picture
 from usarmjx.sensors.cameras.shading import INDOOR_GAIN, point_lights, shadow_gain, tone_mapped
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

@@ -9,7 +9,7 @@ from tests.viewpoints import viewpoint_at
 from usarmjx.models.arenas.league_hall import wall_sign
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import SIGNS
-from usarmjx.sensors.cameras.textures import QR_CELLS
+from usarmjx.sensors.cameras.shading import QR_CELLS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 SIDE, CODEWORDS, CHECKS = 21, 26, 17  # of version 1 with error correction H

@@ -24,8 +24,16 @@ from usarmjx.models.types.shapes import (
     texture_problem,
 )
 from usarmjx.sensors.cameras.paint import ARENA_LABEL
-from usarmjx.sensors.cameras.shading import BRICK_CONTRAST, shade
-from usarmjx.sensors.cameras.textures import BRICK, LANDOLT_RINGS, MORTAR_SHADE, TILE, apply_textures, noise
+from usarmjx.sensors.cameras.shading import (
+    BRICK,
+    BRICK_CONTRAST,
+    LANDOLT_RINGS,
+    MORTAR_SHADE,
+    TILE,
+    apply_textures,
+    noise,
+    shade,
+)
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.scene import build_scene

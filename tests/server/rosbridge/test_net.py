@@ -29,8 +29,7 @@ from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings
-from usarmjx.server.rosbridge.readings import sensor_topics
-from usarmjx.server.rosbridge.topics import WorldTopics
+from usarmjx.server.rosbridge.topics import WorldTopics, sensor_topics
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch

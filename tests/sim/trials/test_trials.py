@@ -11,15 +11,13 @@ from tests.terrain import heights
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.models.arenas.lanes import LANES
-from usarmjx.models.check.arena import check_arena
+from usarmjx.models.check import check_arena
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.generate import Difficulty, generate
 from usarmjx.models.generate.obstacles import OBSTACLES
 from usarmjx.models.robots import ROBOTS
-from usarmjx.sim.trials import obstacles
-from usarmjx.sim.trials.driver import LaneScore, Trial, run_lane
-from usarmjx.sim.trials.obstacles import measure_crossings
-from usarmjx.sim.trials.routes import drive_arena
+from usarmjx.sim import trials
+from usarmjx.sim.trials import LaneScore, Trial, drive_arena, measure_crossings, run_lane
 
 P2AT, TALON = ROBOTS.get("P2AT"), ROBOTS.get("Talon")
 ATOL = 1e-6
@@ -148,7 +146,7 @@ def test_the_commands_of_lanes(tmp_path):
 
 
 def test_measured_success_goes_into_a_file_that_keeps_other_classes(tmp_path, monkeypatch):
-    monkeypatch.setattr(obstacles, "LEVELS", (0.3, 4.0))
+    monkeypatch.setattr(trials, "LEVELS", (0.3, 4.0))
     monkeypatch.setattr(OBSTACLES, "names", lambda: ["posts"])
     path = tmp_path / "crossings.json"
     path.write_text('{"classes": {"Talon": {"bars": [[0.3, 1.0]]}}}')

@@ -22,8 +22,7 @@ from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.metrics import MetricsLog
 from usarmjx.train.learning.processes import ProcessGroup
-from usarmjx.train.learning.stopping import StopRequest
-from usarmjx.train.learning.trainer import train
+from usarmjx.train.learning.trainer import StopRequest, train
 from usarmjx.train.make import make
 from usarmjx.view.training_page import BatchSource
 

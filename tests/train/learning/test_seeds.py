@@ -22,8 +22,7 @@ from usarmjx.train.learning.config import load_record, load_seeds
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.seed_runs import SeedTrainer, of_seed, split_worlds, train_seeds
-from usarmjx.train.learning.stopping import StopRequest
-from usarmjx.train.learning.trainer import train
+from usarmjx.train.learning.trainer import StopRequest, train
 from usarmjx.train.policies.export import export_run
 from usarmjx.train.policies.policy_file import NumpyPolicy
 

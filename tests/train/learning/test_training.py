@@ -20,8 +20,7 @@ from usarmjx.train.learning import trainer as trainer_module
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
-from usarmjx.train.learning.stopping import StopRequest
-from usarmjx.train.learning.trainer import compiling, train
+from usarmjx.train.learning.trainer import StopRequest, compiling, train
 
 
 def test_three_robots_of_two_classes_learn_to_drive_to_their_goals(reference):

@@ -1,23 +1,423 @@
-"""The console with panes."""
+"""The console with panes: messages, sensors, ranges, a picture, and the line that is typed."""
 
 import asyncio
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import ClassVar
 
+from rich.color import Color
+from rich.segment import Segment
+from rich.style import Style
 from rich.text import Text
+from textual import events
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
-from textual.widgets import Button, Footer, Input, Static
+from textual.message import Message as Event
+from textual.strip import Strip
+from textual.widget import Widget
+from textual.widgets import Button, Footer, Input, RichLog, Static, TabbedContent, TabPane, Tree
+from textual.widgets.tree import TreeNode
 
-from usarmjx.base.errors import UsageError, UsarmjxError
+from usarmjx.base.errors import PeerError, UsageError, UsarmjxError
 from usarmjx.cli.console.client import ConsoleClient, Received, fault_of
-from usarmjx.cli.console.completion import Completer
 from usarmjx.cli.console.driving import JoystickDevice, JoystickDriver, KeyDriver
-from usarmjx.cli.console.panes import CommandLine, KeyPad, MessagePanes, PictureView, RangeBars, SensorTree
-from usarmjx.cli.console.pictures import PictureFiles, PictureStream, half_blocks
+from usarmjx.cli.console.knowledge import Completer, common_beginning
+from usarmjx.cli.console.pictures import HALF_BLOCK, HalfBlocks, PictureFiles, PictureStream, half_blocks
+from usarmjx.server.protocol.grammar import Message, to_vector
+
+COLUMNS_PER_STEP, ROWS_PER_STEP = 4, 2
+"""So far the mouse goes for a step of the camera [characters]."""
+DRIVING_KEYS = {
+    **{"up": "forward", "down": "backward", "left": "left", "right": "right"},
+    **{"w": "forward", "s": "backward", "a": "left", "d": "right", "space": "stop", "x": "straight"},
+    **{"plus": "faster", "equals_sign": "faster", "minus": "slower"},
+    **{"pageup": "up", "pagedown": "down", "home": "level"},
+    **{"i": "tilt_up", "k": "tilt_down", "j": "pan_left", "l": "pan_right", "o": "zoom_in", "u": "zoom_out"},
+    **{"h": "light", "t": "trace", "f": "flip"},
+}
+"""Actions of keys while the pad is in use."""
+
+
+class CommandLine(Input):
+    """The command that is being typed: Tab completes it, the arrows bring back what was sent.
+
+    Args:
+        complete: Returns what a line may become.
+        offer: Shows what it may become, if that is more than one line.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("tab", "complete", "complete", priority=True),
+        Binding("up", "recall(-1)", show=False),
+        Binding("down", "recall(1)", show=False),
+    ]
+
+    def __init__(self, complete: Callable[[str], list[str]], offer: Callable[[Sequence[str]], None]) -> None:
+        super().__init__(id="command", placeholder="a command; Tab completes, F2 drives")
+        self._complete, self._offer = complete, offer
+        self._sent: list[str] = []
+        self._recalled = 0
+        self._offered: list[str] = []
+        self._begun = ""  # what the lines that are shown have in common
+
+    def action_complete(self) -> None:
+        """Write what all completions have in common; then one after the other."""
+        if self.value in self._offered:
+            self._put(self._offered[(self._offered.index(self.value) + 1) % len(self._offered)])
+            return
+        found = self._complete(self.value)
+        common = common_beginning(found)
+        self._offered = [] if len(found) < 2 or len(common) > len(self.value) else found
+        self._begun = common if len(found) > 1 else ""
+        self._offer(found if len(found) > 1 else ())
+        if self._offered:
+            self._put(self._offered[0])
+        elif found:
+            self._put(common)
+
+    def on_input_changed(self) -> None:
+        """Clear the completions that were offered for another line."""
+        if self.value not in (*self._offered, self._begun):
+            self._offered, self._begun = [], ""
+            self._offer(())
+
+    def remember(self, line: str) -> None:
+        """Take a line that was sent, and begin anew."""
+        self._sent.append(line)
+        self._recalled, self.value = len(self._sent), ""
+
+    def action_recall(self, step: int) -> None:
+        """Bring back a line that was sent."""
+        self._recalled = min(max(self._recalled + step, 0), len(self._sent))
+        self._put(self._sent[self._recalled] if self._recalled < len(self._sent) else "")
+
+    def _put(self, line: str) -> None:
+        self.value = line
+        self.cursor_position = len(line)
+
+
+class KeyPad(Static, can_focus=True):
+    """Drives while it is in use: by keys, and the mouse turns the camera (manual 5.2.1)."""
+
+    class Pressed(Event):
+        """Something shall be done.
+
+        Attributes:
+            action: One of `driving.ACTIONS`.
+        """
+
+        def __init__(self, action: str) -> None:
+            super().__init__()
+            self.action = action
+
+    class Left(Event):
+        """The pad is in use no more."""
+
+    def __init__(self) -> None:
+        super().__init__("", id="pad")
+        self._mouse: tuple[int, int] | None = None
+
+    def on_key(self, event: events.Key) -> None:
+        """Drive, or go back to the command line."""
+        if event.key == "escape":
+            self.post_message(self.Left())
+        elif event.key in DRIVING_KEYS:
+            self.post_message(self.Pressed(DRIVING_KEYS[event.key]))
+        else:
+            return
+        event.stop()
+
+    def on_mouse_down(self, event: events.MouseDown) -> None:
+        """The right button ends driving."""
+        if event.button == 3:
+            self.post_message(self.Left())
+
+    def on_mouse_move(self, event: events.MouseMove) -> None:
+        """Turn the camera by a step when the mouse has moved by `COLUMNS_PER_STEP` or `ROWS_PER_STEP`."""
+        if not self.has_focus:
+            return
+        if self._mouse is None:
+            self._mouse = event.x, event.y
+        right, down = event.x - self._mouse[0], event.y - self._mouse[1]
+        if abs(right) >= COLUMNS_PER_STEP:
+            self.post_message(self.Pressed("pan_right" if right > 0 else "pan_left"))
+            self._mouse = event.x, self._mouse[1]
+        if abs(down) >= ROWS_PER_STEP:
+            self.post_message(self.Pressed("tilt_down" if down > 0 else "tilt_up"))
+            self._mouse = self._mouse[0], event.y
+
+    def on_leave(self) -> None:
+        """The mouse has gone elsewhere."""
+        self._mouse = None
+
+
+NEAR, MIDDLE = 0.2, 0.5
+"""Up to these shares of the longest distance a reading is near, or in the middle."""
+COLORS = ("red", "yellow", "green")
+"""Of what is near, in the middle, and far (manual 5.2.5.1: a color code)."""
+LEVELS = "▁▂▃▄▅▆▇█"
+MAX_VALUE = 60
+"""A longer value is shown by its beginning [characters]."""
+
+Branch = dict[str, dict[str, str]]
+"""Fields by name of a sensor, or other part; those of none are under ""."""
+Bar = tuple[str, str, str]
+"""A name, what is drawn, and its colour."""
+
+
+def title(message: Message) -> str:
+    """Return the title of a message's values: the type of sensor, or the mission package."""
+    if message.kind == "SEN":
+        return message.get("Type")
+    return f"{message.kind} {message.get('Name')}".strip() if message.kind == "MISSTA" else message.kind
+
+
+def branch(message: Message) -> Branch:
+    """Return a message's values by the names in it."""
+    found: Branch = {}
+    name = ""
+    for key, value in message.segments:
+        words = value.split()
+        if key.lower() == "name" and words:
+            name = words[0]
+            pairs = zip(words[1::2], words[2::2], strict=False)  # `{Name F1 Range 2.5}`
+            found.setdefault(name, {}).update((field, brief(text)) for field, text in pairs)
+        elif key.lower() not in ("type", "name") or message.kind != "SEN":
+            fields = found.setdefault(name if key.lower() != "time" else "", {})
+            fields[_free(fields, key)] = brief(value)
+    return found
+
+
+def _free(fields: dict[str, str], key: str) -> str:
+    """Return a unique key for a segment that may come several times, by numbering it."""
+    count = sum(known.split(" ")[0] == key for known in fields)
+    return f"{key} {count + 1}" if count else key
+
+
+def brief(value: str) -> str:
+    """Return a value that fits into a line; of many numbers how many there are, and their extremes."""
+    if len(value) <= MAX_VALUE:
+        return value
+    if value.count(",") > 3:
+        numbers = to_vector(value)
+        return f"{len(numbers)} numbers, {min(numbers):g} to {max(numbers):g}"
+    return value[:MAX_VALUE] + "..."
+
+
+def range_bars(message: Message, longest: float, width: int) -> list[Bar]:
+    """Return the distances of a message as bars, none if it has none.
+
+    Args:
+        message: A message of sonars, infrareds or scanners.
+        longest: The longest distance so far [m].
+        width: Longest bar, without its number [characters].
+    """
+    whole = message.get("Range")
+    if whole:  # a scan: from right to left on the wire
+        ranges = to_vector(whole)[::-1]
+        cells = [min(part) for part in _split(ranges, width) if part]
+        drawn = "".join(LEVELS[min(int(len(LEVELS) * cell / longest), len(LEVELS) - 1)] for cell in cells)
+        return [(message.get("Name"), drawn, _color(min(ranges), longest))]
+    bars: list[Bar] = []
+    for words in (value.split() for value in message.all("Name")):
+        if len(words) == 3 and words[1].lower() == "range":
+            (distance,) = to_vector(words[2])
+            length = round(width * min(distance / longest, 1.0))
+            bars.append((words[0], f"{'█' * length} {distance:.2f}", _color(distance, longest)))
+    return bars
+
+
+def longest_range(message: Message) -> float:
+    """Return the longest distance in a message [m]; 0: there is none."""
+    lists = [
+        message.get("Range"),
+        *(words.split()[-1] for words in message.all("Name") if " Range " in words),
+    ]
+    return max((number for text in lists for number in to_vector(text)), default=0.0)
+
+
+def _split(values: Sequence[float], parts: int) -> list[Sequence[float]]:
+    count = len(values)
+    return (
+        [values[i * count // parts : (i + 1) * count // parts] for i in range(parts)]
+        if count > parts
+        else [(value,) for value in values]
+    )
+
+
+def _color(distance: float, longest: float) -> str:
+    share = distance / longest
+    return COLORS[0 if share <= NEAR else 1 if share <= MIDDLE else 2]
+
+
+KINDS = ("NFO", "STA", "MISSTA", "SEN", "GEO", "CONF", "RES")
+ALL, OTHERS, SENT = "All", "Others", "Sent"
+MAX_LINES = 500
+"""Number of lines that a pane keeps."""
+SHORT = 300
+"""Length of a line among all the others [characters]."""
+DIRECTIONS = {"<": "", ">": "bold cyan", "#": "yellow"}
+"""Styles of lines: messages, commands, remarks."""
+
+
+class MessagePanes(Vertical):
+    """All messages, and those of each type in a pane of its own.
+
+    Only the pane that is looked at is written to; the others wait.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(id="messages")
+        self._tabs = TabbedContent()
+        self._logs: dict[str, RichLog] = {}
+        self._pending = {name: deque[Text](maxlen=MAX_LINES) for name in (ALL, *KINDS, OTHERS, SENT)}
+
+    def compose(self) -> ComposeResult:
+        """Make the panes."""
+        with self._tabs:
+            for name in self._pending:
+                with TabPane(name, id=f"pane-{name}"):
+                    self._logs[name] = RichLog(max_lines=MAX_LINES, wrap=True, min_width=20)
+                    yield self._logs[name]
+
+    def on_mount(self) -> None:
+        """Write now and then, not with each message."""
+        self.set_interval(0.2, self.flush)
+
+    def add(self, direction: str, kind: str, line: str) -> None:
+        """Take a line."""
+        own = SENT if direction == ">" else kind if kind in KINDS else OTHERS
+        when, style = f"{datetime.now():%H:%M:%S} {direction}", DIRECTIONS[direction]
+        short = (
+            line if len(line) <= SHORT else f"{line[:SHORT]} ... ({len(line)} characters, whole under {own})"
+        )
+        self._pending[ALL].append(Text(f"{when} {short}", style))
+        if direction != "#":
+            self._pending[own].append(Text(f"{when} {line}", style))
+
+    def flush(self) -> None:
+        """Write what waits for the pane that is looked at."""
+        name = self._tabs.active.removeprefix("pane-")
+        pending = self._pending.get(name)
+        while pending:
+            self._logs[name].write(pending.popleft())
+
+
+class SensorTree(Tree[None]):
+    """The last values of every sensor, and of the robot; branches can be closed (manual 5.2.5.1)."""
+
+    def __init__(self) -> None:
+        super().__init__("robot", id="sensors")
+        self.show_root = False
+        self._latest: dict[str, Message] = {}
+        self._branches: dict[tuple[str, ...], TreeNode[None]] = {}
+
+    def on_mount(self) -> None:
+        """Show new values now and then."""
+        self.set_interval(0.5, self.show_latest)
+
+    def hear(self, message: Message) -> None:
+        """Take a message."""
+        if message.kind in ("SEN", "STA", "MISSTA", "RES"):
+            self._latest[title(message)] = message
+
+    def show_latest(self) -> None:
+        """Show what has come since the last time."""
+        latest, self._latest = self._latest, {}
+        for name, message in latest.items():
+            for item, fields in branch(message).items():
+                for key, value in fields.items():
+                    if item and len(fields) > 1:
+                        self._node(name, item, key).set_label(Text(f"{key} {value}"))
+                    else:
+                        self._node(name, f"{item} {key}").set_label(Text(f"{item} {key} {value}".strip()))
+
+    def _node(self, *path: str) -> TreeNode[None]:
+        """Return a value's node, in the branches above it."""
+        node = self._branches.get(path)
+        if node is None:
+            parent = self.root
+            for count in range(1, len(path)):
+                if path[:count] not in self._branches:
+                    self._branches[path[:count]] = parent.add(Text(path[count - 1]), expand=count == 1)
+                parent = self._branches[path[:count]]
+            node = self._branches[path] = parent.add_leaf(Text(path[-1]))
+        return node
+
+
+COLUMNS, NAME_WIDTH, NUMBER_WIDTH = 2, 6, 6
+"""Number of columns of bars, and widths of their names and numbers [characters]."""
+
+
+class RangeBars(Static):
+    """Distances as bars, by how near things are (manual 5.2.5.1)."""
+
+    def __init__(self) -> None:
+        super().__init__(id="ranges")
+        self._height = 0
+        self._latest: dict[str, Message] = {}
+        self._longest: dict[str, float] = {}
+
+    def on_mount(self) -> None:
+        """Show new values now and then."""
+        self.set_interval(0.5, self.show_latest)
+
+    def hear(self, message: Message) -> None:
+        """Take a message."""
+        if message.kind != "SEN":
+            return
+        try:
+            longest = longest_range(message)
+        except PeerError:
+            return
+        if longest > 0:
+            kind = title(message)
+            self._longest[kind] = max(longest, self._longest.get(kind, 0.0))
+            self._latest[kind if message.get("Range") == "" else f"{kind} {message.get('Name')}"] = message
+
+    def show_latest(self) -> None:
+        """Draw the bars; all is laid out anew only where there are more of them."""
+        text, column = Text(), max(20, self.size.width // COLUMNS)
+        for message in self._latest.values():
+            is_scan = bool(message.get("Range"))
+            width = (self.size.width if is_scan else column) - NAME_WIDTH - NUMBER_WIDTH
+            bars = range_bars(message, self._longest[title(message)], max(4, width))
+            for number, (name, drawn, color) in enumerate(bars):
+                text.append(f"{name[: NAME_WIDTH - 1]:{NAME_WIDTH}}").append(drawn, color)
+                ends = is_scan or number % COLUMNS == COLUMNS - 1 or number == len(bars) - 1
+                text.append("\n" if ends else " " * max(1, column - NAME_WIDTH - len(drawn)))
+        rows = text.plain.count("\n")
+        if rows or self._height:
+            self.update(text, layout=rows != self._height)
+        self._height = rows
+
+
+class PictureView(Widget):
+    """A picture of the image server, as half blocks."""
+
+    def __init__(self) -> None:
+        super().__init__(id="picture")
+        self._rows: HalfBlocks = []
+
+    def show(self, rows: HalfBlocks) -> None:
+        """Show another picture."""
+        self._rows = rows
+        self.refresh()
+
+    def render_line(self, y: int) -> Strip:
+        """Return a row of characters."""
+        row = self._rows[y] if y < len(self._rows) else []
+        return Strip(
+            [
+                Segment(HALF_BLOCK, Style.from_color(Color.from_rgb(*upper), Color.from_rgb(*lower)))
+                for upper, lower in row
+            ]
+        )
+
 
 BUTTONS = (
     (("left", "◀"), ("forward", "▲"), ("backward", "▼"), ("right", "▶"), ("stop", "Stop")),

@@ -2,14 +2,19 @@
 
 The semantics are those of `sensors.rays.raycast` (materials, exclusion of the robot's own geoms, range,
 incidence). Grid fenders, which C MuJoCo does not have, are cast by their kernel.
+
+`RayPairs` takes several robots at once. MuJoCo looks at every body of the world for every ray; here
+bounding spheres pick pairs of a ray and a geom, for all robots in a few array operations. The formulas for
+single solids are those of `mj_ray`, in double precision: the distance to the first surface crossed, also from
+inside a solid; a plane is met only from its front.
 """
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import mujoco
@@ -17,7 +22,6 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
-from usarmjx.engines.c.ray_pairs import RayPairs
 from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.ray_geoms import FENDER_KIND
 from usarmjx.models.types.shapes import FENDER, MATERIALS
@@ -25,6 +29,369 @@ from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import surface_normal
 from usarmjx.sensors.rays.raycast import DEFAULT_QUERY, Hits, RayQuery, distance_to
 from usarmjx.sensors.rays.targets import GeomBlock
+
+MARGIN = 1e-4
+"""Enlargement of bounding spheres and boxes against rounding [m]."""
+MIN_LENGTH = 1e-15
+"""MuJoCo's mjMINVAL."""
+BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+
+
+class LocalRays(NamedTuple):
+    """Rays of pairs of a bundle and a geom, in the geom's frame.
+
+    Attributes:
+        point: Origins [m] (3, 1, pairs).
+        along: Unit vectors (3, rays, pairs).
+        size: Sizes of the geoms [m] (3, 1, pairs).
+    """
+
+    point: np.ndarray
+    along: np.ndarray
+    size: np.ndarray
+
+    def part(self, index: Any) -> "LocalRays":  # noqa: ANN401 - what indexes arrays
+        """Return some of the rays."""
+        return LocalRays(self.point[index], self.along[index], self.size[index])
+
+
+def cone_meets_box(axes: LocalRays, chord: np.ndarray) -> np.ndarray:
+    """Return whether any ray of a bundle may meet a box (1, pairs).
+
+    Args:
+        axes: The first rays of the bundles.
+        chord: How far the ends of the others' unit vectors are from its end (pairs,).
+    """
+    low, high = np.zeros((1, len(chord))), np.full((1, len(chord)), np.inf)
+    for point, along, size in zip(*axes, strict=True):
+        # Within this distance along the rays none of them is above the box, or none below it.
+        for speed, room in ((along - chord, size + MARGIN - point), (-along - chord, size + MARGIN + point)):
+            end = room / speed
+            low = np.where(speed < 0.0, np.maximum(low, end), low)
+            high = np.where(speed > 0.0, np.minimum(high, end), high)
+    return low <= high
+
+
+# Kernels: rays of pairs -> distance, infinite without a hit (rays, pairs).
+
+
+def _plane(rays: LocalRays) -> np.ndarray:
+    point, along, size = rays
+    met = -point[2] / along[2]
+    is_met = (along[2] <= -MIN_LENGTH) & (met >= 0.0)
+    for i in (0, 1):
+        is_met &= (size[i] <= 0.0) | (np.abs(point[i] + met * along[i]) <= size[i])
+    return np.where(is_met, met, np.inf)
+
+
+def _box(rays: LocalRays) -> np.ndarray:
+    point, along, size = rays
+    low, high = (-size - point) / along, (size - point) / along
+    first, last = np.minimum(low, high), np.maximum(low, high)
+    flat: np.ndarray = np.abs(along) <= MIN_LENGTH
+    if flat.any():
+        away: np.ndarray = np.where(np.abs(point) <= size, -np.inf, np.inf)
+        first, last = np.where(flat, away, first), np.where(flat, -away, last)
+    enters: np.ndarray = np.maximum(np.maximum(first[0], first[1]), first[2])
+    leaves: np.ndarray = np.minimum(np.minimum(last[0], last[1]), last[2])
+    is_met = (enters <= leaves) & (leaves >= 0.0)
+    return np.where(is_met, np.where(enters >= 0.0, enters, leaves), np.inf)
+
+
+def _roots(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return both solutions of a x^2 + 2 b x + c = 0, the smaller first; -1 without."""
+    square = b * b - a * c
+    root, exists = np.sqrt(square), square >= MIN_LENGTH
+    return np.where(exists, (-b - root) / a, -1.0), np.where(exists, (-b + root) / a, -1.0)
+
+
+def _nearest(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the smaller of two distances, the first being the smaller, that is not negative."""
+    return np.where(first >= 0.0, first, np.where(second >= 0.0, second, np.inf))
+
+
+def _row_dot(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the scalar products of vectors (3, ...), summed in MuJoCo's order."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+def _sphere(rays: LocalRays) -> np.ndarray:
+    point, along, size = rays
+    radius = size[0]
+    return _nearest(
+        *_roots(_row_dot(along, along), _row_dot(along, point), _row_dot(point, point) - radius * radius)
+    )
+
+
+def _round_side(rays: LocalRays) -> np.ndarray:
+    """Return the distance to the round side of a cylinder: radius and half length."""
+    point, along, size = rays
+    a = along[0] * along[0] + along[1] * along[1]
+    b = along[0] * point[0] + along[1] * point[1]
+    c = point[0] * point[0] + point[1] * point[1] - size[0] * size[0]
+    met = _nearest(*_roots(a, b, c))
+    return np.where(np.abs(point[2] + met * along[2]) <= size[1], met, np.inf)
+
+
+def _cylinder(rays: LocalRays) -> np.ndarray:
+    point, along, size = rays
+    nearest = _round_side(rays)
+    for side in (-1.0, 1.0):
+        met = (side * size[1] - point[2]) / along[2]
+        x, y = point[0] + met * along[0], point[1] + met * along[1]
+        is_met = (np.abs(along[2]) > MIN_LENGTH) & (met >= 0.0) & (x * x + y * y <= size[0] * size[0])
+        nearest = np.where(is_met, np.minimum(nearest, met), nearest)
+    return nearest
+
+
+def _capsule(rays: LocalRays) -> np.ndarray:
+    point, along, size = rays
+    nearest = _round_side(rays)
+    for side in (1.0, -1.0):
+        end = np.stack([point[0], point[1], point[2] - side * size[1]])
+        a, b = _row_dot(along, along), _row_dot(along, end)
+        for met in _roots(a, b, _row_dot(end, end) - size[0] * size[0]):
+            is_met = (met >= 0.0) & (side * (point[2] + met * along[2]) >= size[1])
+            nearest = np.where(is_met, np.minimum(nearest, met), nearest)
+    return nearest
+
+
+# Cosines: rays and the distances at which they meet, both (..., pairs) -> cosine of incidence (pairs,).
+
+
+def _ends(rays: LocalRays, met: np.ndarray) -> np.ndarray:
+    return rays.point + met * rays.along
+
+
+def _cosine_to(normal: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Return the cosines of the angles to normals of any length."""
+    return np.abs(_row_dot(normal, along)) / np.sqrt(_row_dot(normal, normal))
+
+
+def _plane_cosine(rays: LocalRays, met: np.ndarray) -> np.ndarray:
+    del met
+    return np.abs(rays.along[2])
+
+
+def _box_cosine(rays: LocalRays, met: np.ndarray) -> np.ndarray:
+    face = (np.abs(_ends(rays, met)) / rays.size).argmax(0)
+    return np.abs(np.take_along_axis(rays.along, face[None], 0)[0])
+
+
+def _sphere_cosine(rays: LocalRays, met: np.ndarray) -> np.ndarray:
+    return _cosine_to(_ends(rays, met), rays.along)
+
+
+def _cylinder_cosine(rays: LocalRays, met: np.ndarray) -> np.ndarray:
+    x, y, z = _ends(rays, met)
+    is_flat = np.abs(z) / rays.size[1] > np.sqrt(x * x + y * y) / rays.size[0]
+    side = _cosine_to(np.stack([x, y, np.zeros_like(z)]), rays.along)
+    return np.where(is_flat, np.abs(rays.along[2]), side)
+
+
+def _capsule_cosine(rays: LocalRays, met: np.ndarray) -> np.ndarray:
+    x, y, z = _ends(rays, met)
+    half = rays.size[1]
+    return _cosine_to(np.stack([x, y, z - np.clip(z, -half, half)]), rays.along)
+
+
+class Solid(NamedTuple):
+    """Functions of a type of geom.
+
+    Attributes:
+        distance: Distances of rays, infinite without a hit [m] (rays, pairs).
+        cosine: Cosines of incidence of rays that meet it at some distances (pairs,).
+    """
+
+    distance: Callable[[LocalRays], np.ndarray]
+    cosine: Callable[[LocalRays, np.ndarray], np.ndarray]
+
+
+SOLIDS = {
+    int(mujoco.mjtGeom.mjGEOM_PLANE): Solid(_plane, _plane_cosine),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): Solid(_sphere, _sphere_cosine),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): Solid(_capsule, _capsule_cosine),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): Solid(_cylinder, _cylinder_cosine),
+    BOX: Solid(_box, _box_cosine),
+}
+"""Known types of geoms."""
+
+
+class Bundles(NamedTuple):
+    """Rays of several robots, each of which has the same number of rays from the same number of origins.
+
+    Attributes:
+        point: Origins [m] (robots, origins, 3).
+        along: Unit vectors (robots, origins, rays, 3).
+        cosine: Lowest cosine of the rays of an origin to the first one (robots, origins).
+    """
+
+    point: np.ndarray
+    along: np.ndarray
+    cosine: np.ndarray
+
+    @classmethod
+    def of(cls, start: np.ndarray, along: np.ndarray) -> "Bundles | None":
+        """Return rays (robots, rays, 3) by origin; None: other numbers of rays, or too wide for a cone."""
+        turns = np.flatnonzero((start[:, 1:] != start[:, :-1]).any((0, 2))) + 1
+        origins = len(turns) + 1
+        count = start.shape[1] // origins
+        if start.shape[1] % origins or (turns != np.arange(1, origins) * count).any():
+            return None
+        fans = along.reshape(len(along), origins, count, 3)
+        cosine = (fans @ fans[:, :, 0, :, None])[..., 0].min(-1)
+        return cls(start[:, ::count], fans, cosine) if cosine.min() > MIN_COSINE else None
+
+
+class Pairs(NamedTuple):
+    """Pairs of a bundle and a geom.
+
+    Attributes:
+        bundle: Bundles, among those of all robots (pairs,).
+        geom: Geoms (pairs,).
+    """
+
+    bundle: np.ndarray
+    geom: np.ndarray
+
+
+class RayPairs:
+    """Distances to geoms of a world with current kinematics.
+
+    Args:
+        model: The model; geom groups are materials.
+        data: Its state.
+        robots: Geoms of each robot, by slot.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robots: Mapping[int, np.ndarray]) -> None:
+        self._model, self._data = model, data
+        self._kind, self._material = model.geom_type.copy(), model.geom_group.copy()
+        self._is_known = np.isin(self._kind, list(SOLIDS)) & (self._material != MATERIALS.index(FENDER))
+        own, shared = model.geom_rgba[:, 3], np.append(model.mat_rgba[:, 3], 1.0)[model.geom_matid]
+        self._is_drawn = np.where(model.geom_matid < 0, own, shared) != 0.0  # MuJoCo's rays pass all others
+        self._owner = np.full(model.ngeom, -1)
+        for slot, geoms in robots.items():
+            self._owner[geoms] = slot
+
+    def nearest(
+        self, start: np.ndarray, along: np.ndarray, slots: np.ndarray, solid: np.ndarray, reach: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return distances of rays [m], infinite without a hit, and cosines of incidence (robots, rays).
+
+        Args:
+            start: Ray origins [m] (robots, rays, 3).
+            along: Unit vectors (robots, rays, 3).
+            slots: The robots, whose own geoms their rays pass (robots,).
+            solid: Whether each geom group stops rays (groups,).
+            reach: Range [m]; hits beyond it may be missed.
+
+        Returns:
+            Both, and the robots for which they are right: not those near geoms of other kinds, and none if
+            the rays are not bundled alike (robots,).
+        """
+        is_right, bundles = np.ones(len(start), bool), Bundles.of(start, along)
+        if bundles is None:
+            return np.full(start.shape[:2], np.inf), np.zeros(start.shape[:2]), ~is_right
+        stops = (solid[self._material] != 0) & self._is_drawn & (self._owner != slots[:, None])
+        pairs = self._pairs(bundles, stops, reach)
+        unknown = ~self._is_known[pairs.geom]
+        if unknown.any():
+            is_right[pairs.bundle[unknown] // bundles.point.shape[1]] = False
+        with np.errstate(all="ignore"):
+            distance, cosine = self._cast(bundles, pairs)
+        return distance.T.reshape(start.shape[:2]), cosine.T.reshape(start.shape[:2]), is_right
+
+    def _pairs(self, bundles: Bundles, stops: np.ndarray, reach: float) -> Pairs:
+        """Return the pairs whose rays may meet their geom, by bounding spheres and cones about the rays.
+
+        Args:
+            bundles: The rays.
+            stops: Whether each geom stops rays of each robot (robots, geoms).
+            reach: Range [m].
+        """
+        centre, bound = self._data.geom_xpos, self._model.geom_rbound
+        first, axis = bundles.point[:, 0], bundles.along[:, :, 0]
+        away = bundles.point - first[:, None]
+        far, origins = _dots(away, away), axis.shape[1]
+        most = reach + MARGIN + np.sqrt(far.max(1))[:, None] + bound
+        apart = _dots(centre, centre) + _dots(first, first)[:, None] - 2.0 * (first @ centre.T)
+        robot, geom = np.nonzero(stops & ((apart <= most * most) | (bound == 0.0)))  # planes have no bound
+        offset, both = centre[geom] - first[robot], np.concatenate([axis, away], 1)
+        ends = np.searchsorted(robot, np.arange(len(first) + 1))
+        products = np.empty((len(geom), 2 * origins))
+        for i in range(len(first)):
+            np.matmul(offset[ends[i] : ends[i + 1]], both[i].T, out=products[ends[i] : ends[i + 1]])
+        ahead = products[:, :origins] - _dots(axis, away)[robot]
+        square = _dots(offset, offset)[:, None] + far[robot] - 2.0 * products[:, origins:]
+        aside = np.sqrt(np.maximum(square - ahead * ahead, 0.0))
+        cosine, radius = bundles.cosine, (bound[geom] + MARGIN)[:, None]
+        sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
+        # Distance of the centre from the side of the cone.
+        missed = (square > (reach + radius) ** 2) | (aside * cosine[robot] - ahead * sine[robot] > radius)
+        pair, origin = np.nonzero(~missed | (radius == MARGIN))
+        return Pairs(robot[pair] * origins + origin, geom[pair])
+
+    def _cast(self, bundles: Bundles, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances to the nearest geoms of known kinds, and cosines, both (rays, bundles)."""
+        along = bundles.along.reshape(-1, *bundles.along.shape[2:]).transpose(2, 1, 0).copy()
+        nearest, cosine = np.full(along.shape[1:], np.inf), np.zeros(along.shape[1:])
+        pairs, rays = self._near_pairs(bundles, pairs, along)
+        if not len(pairs.geom):
+            return nearest, cosine
+        kinds = self._kind[pairs.geom]
+        ends = np.searchsorted(kinds, [*SOLIDS, max(SOLIDS) + 1])
+        met = np.full(rays.along.shape[1:], np.inf)
+        for first, end, solid in zip(ends, ends[1:], SOLIDS.values(), strict=False):
+            if first < end:
+                met[:, first:end] = solid.distance(rays.part(np.s_[..., first:end]))
+        order = np.argsort(pairs.bundle, kind="stable")
+        bundle, met = pairs.bundle[order], met.take(order, 1)
+        firsts = np.flatnonzero(np.append(True, bundle[1:] != bundle[:-1]))
+        least = np.minimum.reduceat(met, firsts, axis=1)
+        nearest[:, bundle[firsts]] = least
+        least[np.isinf(least)] = -1.0  # no distance is negative
+        ray, pair = np.nonzero(met == np.repeat(least, np.diff(firsts, append=len(bundle)), axis=1))
+        distance, bundle, pair = met[ray, pair], bundle[pair], order[pair]
+        hits = LocalRays(rays.point[:, 0, pair], rays.along[:, ray, pair], rays.size[:, 0, pair])
+        for kind in np.unique(kinds[pair]).tolist():
+            here = np.flatnonzero(kinds[pair] == kind)
+            cosine[ray[here], bundle[here]] = SOLIDS[kind].cosine(hits.part(np.s_[:, here]), distance[here])
+        return nearest, cosine
+
+    def _near_pairs(self, bundles: Bundles, pairs: Pairs, along: np.ndarray) -> tuple[Pairs, LocalRays]:
+        """Return the pairs whose rays may meet the geom's bounding box, sorted by kind, and their rays.
+
+        Args:
+            bundles: The rays.
+            pairs: Pairs to choose from.
+            along: Directions of the rays (3, rays, bundles).
+        """
+        order = np.argsort(self._kind[pairs.geom], kind="stable")
+        bundle, geom = pairs.bundle[order], pairs.geom[order]
+        offset = bundles.point.reshape(-1, 3)[bundle] - self._data.geom_xpos[geom]
+        frame = self._data.geom_xmat[geom].T.copy().reshape(3, 3, 1, -1)
+        point, axis = _turned(frame, offset.T[:, None]), _turned(frame, along[:, :1].take(bundle, 2))
+        half = self._model.geom_aabb[geom, 3:].T[:, None]
+        others = along - along[:, :1]
+        chord = np.sqrt((others * others).sum(0).max(0))
+        may_meet = cone_meets_box(LocalRays(point, axis, half), chord[bundle])[0]
+        kept = np.flatnonzero((may_meet | (self._model.geom_rbound[geom] == 0.0)) & self._is_known[geom])
+        bundle, geom = bundle[kept], geom[kept]
+        turned = _turned(frame.take(kept, -1), along.take(bundle, 2))
+        rays = LocalRays(point.take(kept, -1), turned, self._model.geom_size[geom].T[:, None].copy())
+        return Pairs(bundle, geom), rays
+
+
+def _dots(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the scalar products of vectors (..., 3) (...)."""
+    return np.einsum("...i,...i->...", one, other)
+
+
+def _turned(frame: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return vectors (3, rays, pairs) in frames (3, 3, 1, pairs), summed in MuJoCo's order."""
+    return frame[0] * vector[0] + frame[1] * vector[1] + frame[2] * vector[2]
+
 
 HIDDEN_GROUP = len(MATERIALS)
 """Geom group that rays pass, for instance of the robot that casts them; lower groups are the materials."""

@@ -12,9 +12,8 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
-from usarmjx.engines.c.batch import buffer_warnings
+from usarmjx.engines.c.batch import MovedBody, buffer_warnings
 from usarmjx.engines.c.faults import RecoveryResult, reset_all, step_and_recover
-from usarmjx.engines.c.moved_geoms import MovedBody
 from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.models.compile.compose import RobotIndex, materials_of, set_weld
 from usarmjx.models.compile.geoms import MovedGeoms

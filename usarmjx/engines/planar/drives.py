@@ -17,8 +17,7 @@ from usarmjx.engines.planar.responses import (
 )
 from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
-from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.drives.ground import OmniDrive, SkidSteer
+from usarmjx.models.drives.ground import Ackermann, OmniDrive, SkidSteer, Wheel
 from usarmjx.models.types.robot import RobotSpec
 
 MIN_CORNERING_SPEED = 0.05

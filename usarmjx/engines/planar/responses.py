@@ -20,9 +20,8 @@ from usarmjx.base.settings.json_file import NotWholeError, as_mapping, read_kept
 from usarmjx.base.tables import markdown_table
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.compile.parts import parts_of
-from usarmjx.models.drives.ackermann import Ackermann
 from usarmjx.models.drives.base import Drive
-from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer
+from usarmjx.models.drives.ground import Ackermann, NoDrive, OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
 
 log = logging.getLogger(__name__)

@@ -4,6 +4,11 @@ The manual (3.2.1.1): a bi-level arena with stairs and a ramp, its floor covered
 and cement blocks. It gives no measures: the plan is ours, on the grid of the NIST arenas. The floor lies 1.44
 m below the wire's origin, so that the manual's start position (Table 2: 1.2,-2.3,1.16, z down) puts a P2AT,
 whose origin is 0.26 m above the ground (5.3.6), 2 cm above it.
+
+ORANGE_2025 has lanes of structured obstacles side by side. From one side to the other: a bare lane, crossing
+ramps (ASTM E2827), continuous ramps (E2826), hurdles of 10 cm (E2802), half cubic step fields (E2828), stairs
+of 35 degrees to a deck (E2804) and an inclined plane of 30 degrees down (E2803), two pipe steps, and a gap of
+20 cm between two decks (E2801). `lanes` lists the chosen measures; the order of lanes is ours.
 """
 
 import math
@@ -14,6 +19,7 @@ from usarmjx.models.arenas.elements import (
     POST,
     RAMP_ANGLE,
     RISE,
+    STEEP,
     STEEPER,
     WOOD,
     block,
@@ -24,9 +30,12 @@ from usarmjx.models.arenas.elements import (
     stairs,
     step_field,
 )
+from usarmjx.models.arenas.lanes import hurdle
+from usarmjx.models.arenas.league_hall import Hall
 from usarmjx.models.arenas.pieces import (
     BRICKED,
     PANE,
+    PANELLED,
     brick,
     cinder_block,
     finished,
@@ -36,6 +45,7 @@ from usarmjx.models.arenas.pieces import (
     pallet,
     paper,
     pipe,
+    pipe_steps,
     plank,
     span,
     walls,
@@ -265,4 +275,62 @@ ORANGE = ArenaSpec(
     ),
     extent=((ORIGIN[0], EAST), (ORIGIN[1], NORTH)),
     robots=("P2AT", "Talon", "TeleMax", "kenaf", "Tarantula"),
+)
+
+
+FLIGHT = 5
+"""Number of rises of the stairs."""
+HALL_DECK, STEPS, LOW = FLIGHT * RISE, 0.4, 0.3
+"""Height of the decks behind the stairs and the pipe steps, and beside the gap [m]."""
+RIDGE = CELL * math.tan(RAMP_ANGLE)
+HALL = Hall(columns=11, first=2, last=8, tops=(0.0, RIDGE / 2, RIDGE, 0.1, 0.2, HALL_DECK, STEPS, LOW))
+HALL_WEST, HALL_EAST = HALL.first * CELL, HALL.last * CELL
+"""Ends of the lanes [m]."""
+GAP = 0.2
+"""Width of the gap [m]."""
+
+
+def _across(row: int) -> float:
+    """Return y of the middle of a lane [m]."""
+    return HALL.at(0, row)[1]
+
+
+HEAD = HALL_WEST + CELL + (FLIGHT - 1) * RISE / math.tan(STEEP)
+"""x of the end of the stairs [m]."""
+FOOT = HALL_EAST - CELL / 2
+"""x of the end of the inclined plane [m]."""
+BRINK = FOOT - HALL_DECK / math.tan(math.radians(30))
+MIDDLE = (HALL_WEST + HALL_EAST) / 2
+
+LANES = (
+    *ramps(">^<v>^<v>^<v\nv>^<v>^<v>^<", (HALL_WEST, 1 * CELL), side=CELL / 2),
+    *ramps("><><><", (HALL_WEST, 2 * CELL)),
+    *hurdle(HALL.at(3, 3), 0.1),
+    *hurdle(HALL.at(6, 3), 0.1),
+    *HALL.fields(4, 3, ("flat", "hill", "diagonal", "flat"), POST / 2),
+    *stairs((HEAD, _across(5)), 0.0, FLIGHT),
+    HALL.deck(5, HEAD, BRINK, HALL_DECK),
+    slope((FOOT, _across(5), 0.0), (BRINK, _across(5), HALL_DECK), CELL),
+    *pipe_steps((HALL_WEST + CELL, _across(6)), 0.0, 2),
+    HALL.deck(6, HALL_WEST + 2 * CELL, HALL_EAST - 2 * CELL, STEPS),
+    slope((HALL_EAST - 0.3, _across(6), 0.0), (HALL_EAST - 2 * CELL, _across(6), STEPS), CELL),
+    slope((HALL_WEST, _across(7), 0.0), (HALL_WEST + CELL, _across(7), LOW), CELL),
+    HALL.deck(7, HALL_WEST + CELL, MIDDLE - GAP / 2, LOW),
+    HALL.deck(7, MIDDLE + GAP / 2, HALL_EAST - CELL, LOW),
+    slope((HALL_EAST, _across(7), 0.0), (HALL_EAST - CELL, _across(7), LOW), CELL),
+)
+VICTIM_ROWS, SIGN_ROWS = (1, 4, 6), (0, 2, 3, 5, 7)
+
+ORANGE_2025 = ArenaSpec(
+    name="DM-USAR_orange_2025",
+    aliases=("orange_2025",),
+    about="Lanes with crossing and continuous ramps, hurdles, half cubic step fields, stairs, an inclined "
+    "plane, pipe steps and a gap; victims in boxes behind them.",
+    shapes=finished((*HALL.walls(), *LANES, *HALL.boxes(VICTIM_ROWS), *HALL.signs(SIGN_ROWS)), PANELLED),
+    starts=HALL.starts(behind=(0, 2, 3, 5, 7)),
+    extent=HALL.extent,
+    victims=HALL.victims(("Dora", "Emil", "Fatima"), VICTIM_ROWS),
+    tags=tuple(Tag(at=(*HALL.at(1.5, row), 0.01), memory=f"lane {row}") for row in range(HALL.rows)),
+    lights=HALL.lights(),
+    robots=("Talon", "kenaf", "TeleMax", "P2AT"),
 )

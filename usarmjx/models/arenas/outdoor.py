@@ -8,6 +8,9 @@ arena's floor and 2.08 m below the wire's origin, as the floor of the yellow are
 Heights are polynomials, rounded to millimetres: the same on every machine. Engine `jax` has no contacts of
 cylinders with height fields; this arena is for `c`. Loose boxes on a height field rock and creep by
 centimetres, as MuJoCo finds one contact for each of its cells; here they lie on the building's foundation.
+
+DM-Field is a large, flat, open ground for cars and flyers, with some walls at its edge. Its plan is ours,
+too.
 """
 
 import math
@@ -258,4 +261,45 @@ OUTDOOR = ArenaSpec(
     ),
     gps=(39.133788, -77.216633),  # where the GPS sensor's own reference lies (GPSSensor.uc)
     robots=("P2AT", "ATRVJr", "Talon", "kenaf", "Hummer", "AirRobot"),
+)
+
+
+FIELD_HALF = 200.0
+"""Half the field's side [m]; the ground extends beyond it."""
+WALL = (10.0, 0.1, 1.5)
+"""Half lengths of a wall [m]."""
+SPACING = 10.0
+"""Distance between two starts [m]."""
+BRICK = (0.6, 0.35, 0.3, 1.0)
+
+
+def _wall(x: float, y: float, along_y: bool) -> Shape:
+    length, thickness, height = WALL
+    size = (thickness, length, height) if along_y else (length, thickness, height)
+    return Shape(kind="box", size=size, at=(x, y, height), surface="wall", rgba=BRICK)
+
+
+FIELD = ArenaSpec(
+    name="DM-Field",
+    aliases=("field",),
+    about="A flat ground of 400 x 400 m with walls in the middle of each side, for cars and flyers.",
+    shapes=(
+        _wall(FIELD_HALF, 0.0, along_y=True),
+        _wall(-FIELD_HALF, 0.0, along_y=True),
+        _wall(0.0, FIELD_HALF, along_y=False),
+        _wall(0.0, -FIELD_HALF, along_y=False),
+    ),
+    starts=(
+        *(
+            StartPose(
+                tag=f"Start{1 + 5 * row + column}",
+                at=((row - 2) * SPACING, (2 - column) * SPACING, START_ELEVATION),
+            )
+            for row in range(5)
+            for column in range(5)
+        ),
+        StartPose(tag="PlayerStart", at=(-3 * SPACING, 0.0, START_ELEVATION)),
+    ),
+    extent=((-FIELD_HALF, FIELD_HALF), (-FIELD_HALF, FIELD_HALF)),
+    robots=("Hummer", "SnowStorm", "Sedan", "Cooper", "AirRobot", "Passarola"),
 )

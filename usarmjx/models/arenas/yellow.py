@@ -7,12 +7,18 @@ above the ground (5.3.6), 2 cm above the floor.
 
 The manual's features of all arenas (3.2.1.1) are in the upper rows, away from starts and without blocking a
 loop: victims, glass, a mirror, a grid fender, and few loose objects, as each costs solver time.
+
+YELLOW_2025, by the RoboCup Rescue league, is the same maze on continuous ramps, for autonomous robots:
+between level ground at both ends the whole floor is full ramps of 15 degrees (ASTM E2826), so that a drive
+along x pitches and a drive along y rolls. Victims sit in boxes with a hole, signs hang on walls. Walls are
+those of the older arena; positions of contents are ours.
 """
 
 import math
 from functools import partial
 
-from usarmjx.models.arenas.elements import CELL, WOOD, block, cell_center, ramp
+from usarmjx.models.arenas.elements import CELL, RAMP_ANGLE, WOOD, block, cell_center, ramp, slope
+from usarmjx.models.arenas.league_hall import victim_box, wall_sign
 from usarmjx.models.arenas.pieces import (
     MESHWORK,
     PANE,
@@ -182,4 +188,91 @@ YELLOW = ArenaSpec(
     ),
     lights=tuple(Light(at=(*_cell(*cell), 2.4), brightness=4.0) for cell in ((2, 1), (9, 1), (2, 6), (9, 6))),
     robots=("P2AT", "P2DX", "Zerg", "Kurt2D"),
+)
+
+
+COLUMNS, ROWS = 12, 8
+FIRST, LAST = 2, 10
+"""First column of ramps, and the first one after them."""
+EAST, NORTH = COLUMNS * CELL, ROWS * CELL
+
+_hall_cell = partial(cell_center, (0.0, 0.0))
+
+
+def _hall_ramp(column: int) -> tuple[float, float]:
+    """Return x of the foot and of the head of a column's ramp: up and down by turns [m]."""
+    west, east = column * CELL, (column + 1) * CELL
+    return (west, east) if (column - FIRST) % 2 == 0 else (east, west)
+
+
+RAMPS = tuple(
+    slope((foot, NORTH / 2, 0.0), (head, NORTH / 2, CELL * math.tan(RAMP_ANGLE)), NORTH)
+    for foot, head in map(_hall_ramp, range(FIRST, LAST))
+)
+SITTING = rest_height("sitting")
+HIDING = (("Alma", (0, 7), -math.pi / 2), ("Boris", (11, 7), -math.pi / 2), ("Chen", (11, 0), math.pi / 2))
+"""Victims in boxes: names, cells and headings."""
+AWAY = 0.3
+"""Distance from the middle of the cell towards its wall [m]."""
+
+
+def _seat(cell: tuple[int, int], heading: float) -> tuple[float, float]:
+    x, y = _hall_cell(*cell)
+    return x - AWAY * math.cos(heading), y - AWAY * math.sin(heading)
+
+
+SIGNS = (
+    wall_sign((0.03, _hall_cell(0, 1)[1]), 0.0, "qr:6"),
+    wall_sign((0.03, _hall_cell(0, 3)[1]), 0.0, "chart:0"),
+    wall_sign((0.03, _hall_cell(0, 5)[1]), 0.0, "hazmat:1"),
+    wall_sign((EAST - 0.03, _hall_cell(11, 1)[1]), math.pi, "qr:7"),
+    wall_sign((EAST - 0.03, _hall_cell(11, 3)[1]), math.pi, "tag:2"),
+    wall_sign((EAST - 0.03, _hall_cell(11, 5)[1]), math.pi, "chart:3"),
+    wall_sign((_hall_cell(4, 0)[0], 0.03), math.pi / 2, "hazmat:4", z=1.1),
+    wall_sign((_hall_cell(7, 7)[0], NORTH - 0.03), -math.pi / 2, "tag:5", z=1.1),
+)
+
+HALL_STARTS = (
+    (0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2), (0, 3), (1, 3), (0, 4), (0, 5), (10, 2), (10, 3), (11, 3),
+    (11, 4), (10, 5), (11, 5),
+)  # fmt: skip
+
+YELLOW_2025 = ArenaSpec(
+    name="DM-USAR_yellow_2025",
+    aliases=("yellow_2025",),
+    about="The maze of the yellow arena on continuous ramps of 15 degrees; victims in boxes with a hole.",
+    shapes=finished(
+        (
+            *walls(PLAN, origin=(0.0, 0.0), cell=CELL, height=1.5),
+            *RAMPS,
+            *(shape for _, cell, heading in HIDING for shape in victim_box(_seat(cell, heading), heading)),
+            *SIGNS,
+        ),
+        PANELLED,
+    ),
+    starts=tuple(
+        StartPose(tag=f"Start{i}" if i else "PlayerStart", at=(*_hall_cell(*cell), START_ELEVATION))
+        for i, cell in enumerate(HALL_STARTS)
+    ),
+    extent=((0.0, EAST), (0.0, NORTH)),
+    victims=tuple(
+        Victim(
+            name=name,
+            at=(*_seat(cell, heading), SITTING),
+            rotation=(0.0, 0.0, heading),
+            posture="sitting",
+            segments=waving() if name == "Chen" else (),
+            help_sound=HelpSound(loudness=0.7) if name != "Boris" else None,
+            state="sits in a box with a hole",
+        )
+        for name, cell, heading in HIDING
+    ),
+    tags=tuple(
+        Tag(at=(*_hall_cell(*cell), 0.01), memory=f"Cell {cell[0]} {cell[1]}")
+        for cell in ((0, 0), (1, 5), (10, 6), (11, 2))
+    ),
+    lights=tuple(
+        Light(at=(*_hall_cell(*cell), 2.8), brightness=4.0) for cell in ((2, 1), (9, 1), (2, 6), (9, 6))
+    ),
+    robots=("P2AT", "Zerg", "Kurt3D"),
 )

@@ -5,11 +5,18 @@ All of it takes leading axes, and runs on NumPy and, traced, on JAX: see `usarmj
 buoyancy and drag for robots that fly or dive. Begin with `base.Drive` and `ground`.
 """
 
-from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.drives.base import DRY_DEPTH, Drive, JointControl, VehicleType
 from usarmjx.models.drives.fluid import Underwater
 from usarmjx.models.drives.flying import Blimp, RotaryWing
-from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer, Tracks, YieldingSkidSteer
+from usarmjx.models.drives.ground import (
+    Ackermann,
+    NoDrive,
+    OmniDrive,
+    SkidSteer,
+    Tracks,
+    Wheel,
+    YieldingSkidSteer,
+)
 
 __all__ = [
     "DRY_DEPTH",

@@ -1,8 +1,9 @@
 """Effecters: devices with which robots act on the world (manual 8, 11).
 
-`base.Effecter` is an effecter of a robot, with its own parts, solids and operations; `gripper`, `roller` and
-`jointless` are the manual's, found by type in `EFFECTERS`. `effect` runs on NumPy and, traced, on JAX: see
-`usarmjx.base.backend`. Begin with `jointless`. Building a scene refuses a type that is not registered here.
+`base.Effecter` is an effecter of a robot, with its own parts, solids and operations; `standard` has
+the manual's, found by type in `EFFECTERS`. `effect` runs on NumPy and, traced, on JAX: see
+`usarmjx.base.backend`. Begin with `standard.Headlight`. Building a
+scene refuses a type that is not registered here.
 """
 
 from functools import cache
@@ -17,9 +18,7 @@ from usarmjx.models.effecters.base import (
     Opcode,
     no_dropped_tags,
 )
-from usarmjx.models.effecters.gripper import Gripper
-from usarmjx.models.effecters.jointless import Headlight, RfidReleaser
-from usarmjx.models.effecters.roller import RollerTable
+from usarmjx.models.effecters.standard import Gripper, Headlight, RfidReleaser, RollerTable
 from usarmjx.models.types.robot import RobotSpec, resolve_settings
 
 __all__ = [

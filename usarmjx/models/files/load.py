@@ -25,11 +25,10 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANE_PREFIX, LANES
 from usarmjx.models.files.content import EMPTY_EXTENT, Content
 from usarmjx.models.files.images import image_size, write_heights
-from usarmjx.models.files.maps import check_picture, is_map, occupancy_grid_content
+from usarmjx.models.files.maps import check_picture, is_map, moving_ai_content, occupancy_grid_content
 from usarmjx.models.files.mesh_solids import world_pieces
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.mjcf_solids import Pose
-from usarmjx.models.files.moving_ai import moving_ai_content
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.roads_file import is_route_network, roads_content
 from usarmjx.models.files.sdf import sdf_content

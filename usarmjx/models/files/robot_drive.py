@@ -10,7 +10,7 @@ import numpy as np
 from usarmjx.base.transforms import GRAVITY
 from usarmjx.models.compile.kinematic_tree import lowest_point, robot_at_rest
 from usarmjx.models.drives import Ackermann, Drive, NoDrive, RotaryWing, SkidSteer
-from usarmjx.models.drives.ackermann import Wheel
+from usarmjx.models.drives.ground import Wheel
 from usarmjx.models.files.body_tree import BodyTree
 from usarmjx.models.files.robot_source import RobotSource, StatedDrive, listed
 from usarmjx.models.types.robot import Part, RobotSpec

@@ -31,8 +31,7 @@ from usarmjx.models.files.robot_drive import (
 )
 from usarmjx.models.files.robot_mjcf import DEFAULT_TRAVEL, motor_with_limits, motors_of, read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
-from usarmjx.models.files.sdf_robot import sdf_as_urdf
-from usarmjx.models.files.sdf_tree import SDF_ROOTS
+from usarmjx.models.files.sdf_tree import SDF_ROOTS, sdf_as_urdf
 from usarmjx.models.files.urdf import mend_urdf, read_urdf, read_urdf_robot
 from usarmjx.models.files.xml_file import root_tag
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options

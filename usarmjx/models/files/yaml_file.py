@@ -30,7 +30,13 @@ from usarmjx.models.files.content import (
     transform_content,
 )
 from usarmjx.models.files.images import read_heights
-from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_grid_content
+from usarmjx.models.files.maps import (
+    DEFAULT_CELL,
+    DEFAULT_WALL_HEIGHT,
+    Unknown,
+    moving_ai_content,
+    occupancy_grid_content,
+)
 from usarmjx.models.files.meshes import (
     NO_MESH,
     SeenBy,
@@ -41,7 +47,6 @@ from usarmjx.models.files.meshes import (
     vertices_of_file,
 )
 from usarmjx.models.files.mjcf import mjcf_content
-from usarmjx.models.files.moving_ai import DEFAULT_CELL, moving_ai_content
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.roads_file import roads_content
 from usarmjx.models.files.sdf import sdf_content
@@ -331,7 +336,7 @@ class MapFile:
 
 @dataclass(frozen=True, kw_only=True)
 class GridFile:
-    """A map or scenario of MovingAI: see `moving_ai`.
+    """A map or scenario of MovingAI: see `maps`.
 
     Attributes:
         file: Its file, which ends in .map or .scen.

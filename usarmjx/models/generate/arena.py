@@ -1,40 +1,394 @@
-"""Generation of arenas on the NIST arenas' grid, reproducible from kind, size, difficulty and seed."""
+"""Generation of arenas on the NIST arenas' grid, reproducible from kind, size, difficulty and seed.
 
-from dataclasses import replace
+Clutter lies in a strip along one side of the cells, the same side in all of them, so that robots can pass on
+the other side.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.base.transforms import Vec3
+from usarmjx.base.transforms import Vec3, mat_from_angles
+from usarmjx.models.compile.raster import half_lengths
 from usarmjx.models.compile.reachability import (
     DEFAULT_SLOPE,
     RobotFootprint,
     footprint_of,
     reach_map,
+    shapes_in_arena,
     victims_reached,
 )
+from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.files.find_robot import find_robot
-from usarmjx.models.generate import contents
-from usarmjx.models.generate.contents import ArenaBuilder, add_victim, place_obstacles, ring_height
-from usarmjx.models.generate.kinds import DEFAULT_STARTS, KINDS, Difficulty, budget
+from usarmjx.models.generate.kinds import DEFAULT_STARTS, KINDS, ArenaKind, Difficulty, budget, counts
 from usarmjx.models.generate.obstacles import (
     MAX_RIDGE_SLOPE,
     MIN_TWO_RAMP_COLUMNS,
     OBSTACLES,
+    RIDGE_SLOPE_RATE,
+    STONE,
     STOREY,
     STOREY_CELLS,
+    STRUCTURE_SIZE,
+    WOOD,
+    block,
+    highest_obstacle,
+    lerp,
+    obstacle_height,
     second_floor,
+    void,
 )
 from usarmjx.models.generate.plan import (
     CELL,
+    DIRECTIONS,
+    START_CELL,
     THICKNESS,
     Cell,
     CellGrid,
     doubled,
     edge,
+    middle,
 )
-from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.models.types.shapes import Shape
+from usarmjx.models.generate.random_stream import RandomStream
+from usarmjx.models.types.arena import (
+    START_ELEVATION,
+    ArenaSpec,
+    HelpSound,
+    LooseObject,
+    SegmentMotion,
+    StartPose,
+    Tag,
+    Victim,
+)
+from usarmjx.models.types.shapes import Position2D, Rgba, Shape
+
+HALF_CORRIDOR = (CELL - THICKNESS) / 2
+"""Distance from the middle of a cell to its walls [m]."""
+STRIP = 0.205
+"""Width of the strip of clutter [m]."""
+START_OFFSET = 0.1
+"""Distance of start poses from the middle of a cell, away from the strips [m]."""
+GAP = 0.005
+"""Gap between a wall and clutter beside it [m]; loose objects start a fifth of it above the floor."""
+MIN_TREE_CELLS = 4
+"""Number of cells that always remain passable."""
+MIN_CELLS_WITHOUT_BOARDS = 17
+"""Number of cells without boards if there are as many, so that 16 robots can start."""
+ROOF, LOW_ROOF = 1.0, 0.5
+"""Height of the slabs over sitting and over lying victims [m]."""
+
+MAX_SAFE_RIDGE = math.radians(25)
+"""Steepest ridge of arenas without risk [rad]: steeper ones are hard on slick ground."""
+
+
+def _loose_form(half: tuple[float, float, float], mass: float, rgba: Rgba) -> tuple[Shape, ...]:
+    return (Shape(kind="box", size=half, mass=mass, surface="loose", rgba=rgba),)
+
+
+FORMS = {
+    "Brick": _loose_form((0.1, 0.05, 0.03), 2.5, (0.6, 0.3, 0.2, 1.0)),
+    "CinderBlock": _loose_form((0.195, 0.095, 0.095), 13.0, STONE),
+    "Plank": _loose_form((0.5, 0.045, 0.02), 1.8, WOOD),
+}
+"""Shapes of loose objects; their masses are those of clay, hollow concrete and spruce of that size."""
+
+
+@dataclass
+class ArenaBuilder:
+    """An arena under construction.
+
+    Attributes:
+        plan: Walls and ways.
+        kind: Kind of arena.
+        difficulty: Difficulty of the arena.
+        footprint: Room that the robot needs to pass.
+        seed: Seed of the draws.
+        robot: Its class; "" if only its footprint is known.
+        most_starts: Largest number of start poses; a free cell has one.
+        shapes: Solids other than walls.
+        corner: Sides of cells with strips of clutter, along x and y; 0: none.
+        clear: Cells without contents: access to victims or to a second floor.
+        obstructed: Cells with obstacles that must be crossed.
+    """
+
+    plan: CellGrid
+    kind: ArenaKind
+    difficulty: Difficulty
+    footprint: RobotFootprint
+    seed: int
+    robot: str = ""
+    most_starts: int = DEFAULT_STARTS
+    shapes: list[Shape] = field(default_factory=list[Shape])
+    corner: Cell = (0, 0)
+    clear: set[Cell] = field(default_factory=set[Cell])
+    obstructed: set[Cell] = field(default_factory=set[Cell])
+    victims: list[Victim] = field(default_factory=list[Victim])
+    loose: list[LooseObject] = field(default_factory=list[LooseObject])
+    tags: list[Tag] = field(default_factory=list[Tag])
+    starts: list[StartPose] = field(default_factory=list[StartPose])
+
+    def random_stream(self, purpose: str) -> RandomStream:
+        """Return the random stream of a purpose."""
+        return RandomStream(self.seed, purpose)
+
+    def max_count(self, what: str) -> int:
+        """Return the limit of a content for this size."""
+        return counts(self.plan.size)[what]
+
+
+@cache
+def outline(posture: str) -> tuple[float, float]:
+    """Return the extent of a victim along the x axis of its pelvis [m]: lowest and highest."""
+    ends: list[float] = []
+    for part in shapes_in_arena(Victim(name="one", at=(0.0, 0.0, 0.0), posture=posture)):
+        mat = mat_from_angles(*np.array(part.rotation))
+        reach = float(np.abs(mat[0]) @ half_lengths(part))
+        ends += [part.at[0] - reach, part.at[0] + reach]
+    return min(ends), max(ends)
+
+
+def add_victim(
+    builder: ArenaBuilder, at: Position2D, facing: int, posture: str, where: str, ground: float = 0.0
+) -> None:
+    """Add a victim with the middle of its body at a point; `facing` in quarter turns from x."""
+    number = len(builder.victims) + 1
+    ahead, (back, front) = DIRECTIONS[facing], outline(posture)
+    shift = -(back + front) / 2
+    waves = posture == "sitting" and number % 2 == 0
+    segments = (
+        SegmentMotion(
+            name="LeftArm", initial=(-0.8, 0.0, 0.1), final=(-2.6, 0.0, 0.1), rates=(1.5, 0.0, 0.0)
+        ),
+    )
+    builder.victims.append(
+        Victim(
+            name=f"Victim{number}",
+            at=(at[0] + shift * ahead[0], at[1] + shift * ahead[1], ground + rest_height(posture)),
+            rotation=(0.0, 0.0, facing * math.pi / 2),
+            posture=posture,
+            segments=segments if waves else (),
+            help_sound=HelpSound() if number % 3 == 1 else None,
+            state=f"{'waving' if waves else 'still'}, {where}",
+        )
+    )
+
+
+def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
+    """Put victims into leaves of the tree, which they block; unreachable ones into cells of four walls."""
+    plan, draw, walled_in = builder.plan, builder.random_stream("victims"), 0
+    while len(builder.victims) < count and len(plan.tree) > MIN_TREE_CELLS:
+        tips = plan.leaves()
+        if not tips:
+            break
+        cell, lies, facing = draw.choice(tips), draw.randint(2), draw.randint(4)
+        before = plan.remove_leaf(cell)
+        number = len(builder.victims) + 1
+        if walled_in < number - round(reachable * number):
+            walled_in += 1
+            plan.seal(cell)
+            add_victim(builder, middle(cell), facing, "sitting", "walled in")
+            continue
+        toward = DIRECTIONS.index((before[0] - cell[0], before[1] - cell[1]))
+        highest = builder.footprint.height + builder.footprint.step if builder.kind.voids else math.inf
+        if lies and before in plan.leaves() and len(plan.tree) > MIN_TREE_CELLS:
+            last = plan.remove_leaf(before)
+            (x0, y0), (x1, y1) = middle(cell), middle(before)
+            at, posture, length, roof = (
+                ((x0 + x1) / 2, (y0 + y1) / 2),
+                "lying",
+                STRUCTURE_SIZE + CELL,
+                LOW_ROOF,
+            )
+        else:
+            last = before
+            at, posture, length, roof = middle(cell), "sitting", STRUCTURE_SIZE, ROOF
+        low = highest < roof
+        plan.kept.add(last)
+        builder.clear.add(last)
+        if low:
+            builder.shapes += void(at, toward, length, roof)
+        if low or posture == "lying":
+            facing = (toward + 2 * (facing % 2) * (posture == "lying")) % 4
+        add_victim(builder, at, facing, posture, "in a void" if low else "in the open")
+
+
+def place_structures(builder: ArenaBuilder, count: int) -> None:
+    """Put impassable structures into leaves of the tree."""
+    maker, draw = builder.kind.structure, builder.random_stream("structures")
+    for _ in range(count if maker else 0):
+        tips = builder.plan.leaves()
+        if not tips or len(builder.plan.tree) <= MIN_TREE_CELLS:
+            return
+        cell = draw.choice(tips)
+        builder.plan.remove_leaf(cell)
+        builder.shapes += maker(draw, middle(cell), builder.difficulty.roughness) if maker else []
+
+
+def place_boards(builder: ArenaBuilder) -> set[Cell]:
+    """Put boards across the ways, low enough for the robot; return their cells."""
+    draw = builder.random_stream("boards")
+    barred = {START_CELL, *builder.clear, *builder.obstructed}
+    cells = [cell for cell in builder.plan.tree if cell not in barred]
+    spare = len(builder.plan.tree) - len(builder.obstructed) - MIN_CELLS_WITHOUT_BOARDS
+    count = max(0, min(builder.max_count("boards"), spare))
+    height = lerp(0.25, 0.95, builder.difficulty.roughness) * builder.footprint.step
+    taken = draw.shuffled(cells)[:count]
+    for cell in taken:
+        size = (0.09, 1.0, height) if draw.randint(2) else (1.0, 0.09, height)
+        builder.shapes.append(block(middle(cell), size))
+    return set(taken)
+
+
+def place_clutter(builder: ArenaBuilder, free: list[Cell]) -> None:
+    """Put loose objects and fixed blocks into the strips; more clutter keeps that of less.
+
+    The shapes of loose objects alternate, so that the arenas of a batch need few slots of each.
+    """
+    draw, clutter, corner = builder.random_stream("clutter"), builder.difficulty.clutter, builder.corner
+    cells = draw.shuffled([cell for cell in free if cell not in builder.clear])
+    height = lerp(0.1, 0.3, builder.difficulty.roughness)
+    spots = [_spot(builder, cell, draw) for cell in cells]
+    for i in range(min(round(clutter * builder.max_count("loose")), len(cells))):
+        form = tuple(FORMS)[i % len(FORMS)]
+        spot = next((spot for spot in spots if spot.strip or form == "Brick"), None)
+        if spot is None:
+            continue
+        spots.remove(spot)
+        half = FORMS[form][0].size
+        x, y = _beside(spot.cell, corner, half, spot.turned, spot.along)
+        at, yaw = (x, y, half[2] + GAP / 5), spot.turned * math.pi / 2
+        builder.loose.append(
+            LooseObject(name=f"{form}{i + 1}", at=at, rotation=(0.0, 0.0, yaw), shapes=FORMS[form])
+        )
+    for spot in spots[max(0, len(spots) - round(clutter * builder.max_count("blocks"))) :]:
+        half = (0.15, 0.095, height / 2) if spot.strip else (0.1, 0.05, height / 2)
+        at = _beside(spot.cell, corner, half, spot.turned, spot.along)
+        builder.shapes.append(block(at, (2 * half[0], 2 * half[1], height), yaw=spot.turned * math.pi / 2))
+
+
+class _ClutterSpot(NamedTuple):
+    """Position of clutter in a cell: in a strip along a side without a way across, or in a corner."""
+
+    cell: Cell
+    strip: bool
+    turned: int
+    along: float
+
+
+def _spot(site: ArenaBuilder, cell: Cell, draw: RandomStream) -> _ClutterSpot:
+    corner = site.corner
+    along = draw.randint(101) / 100
+    sides = [k for k, d in enumerate(((0, corner[1]), (corner[0], 0))) if _closed(site.plan, cell, d)]
+    turned = draw.choice(sides) if sides else 0
+    return _ClutterSpot(cell, bool(sides), turned, along if sides else 1.0)
+
+
+def _closed(plan: CellGrid, cell: Cell, side: Cell) -> bool:
+    return (cell[0] + side[0], cell[1] + side[1]) not in plan.tree[cell]
+
+
+def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, along: float) -> Position2D:
+    """Return a position in a strip: `along` is 1 in the corner, 0 at the other end."""
+    x, y = middle(cell)
+    far = HALF_CORRIDOR - GAP - half[0]
+    offset = (corner[0] * (2 * along - 1) * far, corner[1] * (HALF_CORRIDOR - GAP - half[1]))
+    if turned:
+        offset = (corner[0] * (HALF_CORRIDOR - GAP - half[1]), corner[1] * (2 * along - 1) * far)
+    site_x, site_y = offset
+    return x + site_x, y + site_y
+
+
+def place_tags(builder: ArenaBuilder, free: list[Cell]) -> None:
+    """Put tags on the floor beside the start poses, short of the strips."""
+    draw = builder.random_stream("tags")
+    side = 0.3 if any(builder.corner) else 0.42
+    for cell in draw.shuffled(free)[: builder.max_count("tags")]:
+        x, y = middle(cell)
+        dx, dy = (way or draw.choice((-1, 1)) for way in builder.corner)
+        builder.tags.append(Tag(at=(x + side * dx, y + side * dy, 0.0)))
+
+
+def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
+    """Put the first start pose into the base, others into free cells, all facing along a way."""
+    others = builder.random_stream("starts").shuffled([cell for cell in free if cell != START_CELL])
+    for number, cell in enumerate([START_CELL, *others][: builder.most_starts]):
+        x, y = middle(cell)
+        x, y = x - START_OFFSET * builder.corner[0], y - START_OFFSET * builder.corner[1]
+        toward = builder.plan.tree[cell][0] if builder.plan.tree[cell] else (cell[0] + 1, cell[1])
+        yaw = (DIRECTIONS.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
+        tag = f"Start{number}" if number else "PlayerStart"
+        builder.starts.append(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2))
+
+
+def place_obstacles(builder: ArenaBuilder) -> None:
+    """Put obstacles into rings of cells; more obstacles keep those of fewer."""
+    share, obstacle = builder.difficulty.obstacles, builder.kind.obstacle
+    if not share:
+        return
+    draw, away = builder.random_stream("obstacles"), distances(builder.plan)
+    rings = draw.shuffled(_rings(builder, away))
+    left = min(builder.max_count("obstacles"), len(builder.plan.tree) // 2)
+    heights = {name: ring_height(builder, name) for name in OBSTACLES.names()}
+    for ring in rings[: math.ceil(share * len(rings))]:
+        if len(ring) > left:
+            continue
+        left -= len(ring)
+        for cell in ring:
+            ways = _ways(builder.plan, cell)
+            straight = len({way % 2 for way in ways}) == 1
+            name = obstacle if straight else "posts"
+            builder.shapes += OBSTACLES.get(name)(draw, middle(cell), heights[name], ways[0])
+        builder.obstructed.update(ring)
+
+
+def ring_height(builder: ArenaBuilder, kind: str) -> float:
+    """Return the height of obstacles of a kind [m]."""
+    highest = highest_obstacle(builder.robot, kind, builder.difficulty.risk)
+    height = obstacle_height(builder.footprint, builder.difficulty.roughness, highest)
+    return (
+        height
+        if builder.difficulty.risk or kind != "ridge"
+        else min(height, MAX_SAFE_RIDGE / RIDGE_SLOPE_RATE)
+    )
+
+
+def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:
+    """Return the rings of cells that can have obstacles, no two of them adjacent.
+
+    A ring is all cells of the tree at one distance from the base: the way outward crosses it.
+    """
+    farthest = max(away.values())
+    rings: list[list[Cell]] = []
+    for count in range(2, farthest, 2):
+        cells = [cell for cell, found in away.items() if found == count and cell in builder.plan.tree]
+        beyond = any(found > count for cell, found in away.items() if cell in builder.plan.tree)
+        if cells and beyond and not builder.clear & set(cells):
+            rings.append(cells)
+    return rings
+
+
+def distances(plan: CellGrid) -> dict[Cell, int]:
+    """Return the number of steps from the base to each cell, around walls."""
+    found: dict[Cell, int] = {START_CELL: 0}
+    front: list[Cell] = [START_CELL]
+    for cell in front:
+        for other in plan.around(cell):
+            if other not in found and edge(cell, other) not in plan.walls:
+                found[other] = found[cell] + 1
+                front.append(other)
+    return found
+
+
+def _ways(plan: CellGrid, cell: Cell) -> list[int]:
+    """Return the directions in which a cell is open, in quarter turns."""
+    ends = [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
+    beside = plan.around(cell)
+    return [i for i, end in enumerate(ends) if end in beside and edge(cell, end) not in plan.walls]
+
 
 MIN_SIDE_CELLS, MAX_SIDE_CELLS = 3, 64
 """Smallest and largest number of cells along a side."""
@@ -157,17 +511,17 @@ def _fill(builder: ArenaBuilder, count: int, reachable: float) -> None:
         _upstairs(builder, round(reachable * count) > 0)
     else:
         kind.layout(plan, builder.random_stream("plan"), builder.difficulty)
-    contents.place_victims(builder, count, reachable)
-    contents.place_structures(builder, kind.structures(plan.size))
+    place_victims(builder, count, reachable)
+    place_structures(builder, kind.structures(plan.size))
     place_obstacles(builder)
-    boards = contents.place_boards(builder)
+    boards = place_boards(builder)
     free = [cell for cell in plan.tree if cell not in boards and cell not in builder.obstructed]
-    if _passes(builder.footprint, REACH_CELL_SIZES[0], contents.STRIP):
+    if _passes(builder.footprint, REACH_CELL_SIZES[0], STRIP):
         draw = builder.random_stream("corner")
         builder.corner = (draw.choice((-1, 1)), draw.choice((-1, 1)))
-        contents.place_clutter(builder, free)
-    contents.place_tags(builder, free)
-    contents.place_starts(builder, free)
+        place_clutter(builder, free)
+    place_tags(builder, free)
+    place_starts(builder, free)
 
 
 def _upstairs(builder: ArenaBuilder, victim: bool) -> None:

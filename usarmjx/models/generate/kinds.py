@@ -35,7 +35,7 @@ class Difficulty:
             walls between rooms with only one doorway.
         radio_shadow: Share of the inner walls that are two sheets, which the radio counts as two walls.
         obstacles: Share of the rings of cells around the base that can only be crossed over obstacles; see
-            `contents.place_obstacles`. Explicit only: `of` leaves it at 0.
+            `arena.place_obstacles`. Explicit only: `of` leaves it at 0.
         risk: Share of drives that fail at the highest of those obstacles, as measured (`crossings.json`); at
             0 every drive crosses them. Explicit only, too.
     """

@@ -1,7 +1,7 @@
 """Obstacles that robots have to cross, their heights by measured success, and structures that fill cells.
 
 Each covers a cell from wall to wall. Their height depends on the robot's step and the roughness; `usarmjx
-arena check --drive` proves them passable. `contents.place_obstacles` puts them where no way leads around.
+arena check --drive` proves them passable. `arena.place_obstacles` puts them where no way leads around.
 
 Each maker gets draws, the cell's middle and a roughness from 0 to 1. Its solids stay within `STRUCTURE_SIZE`
 around the middle, clear of all walls. Roughness changes their heights, never their number or arrangement.

@@ -9,8 +9,7 @@ from usarmjx.base.registry import Registry
 from usarmjx.models.compile.kinematic_tree import with_measurements
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.drives import Drive, NoDrive, SkidSteer, Tracks, YieldingSkidSteer
-from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.drives.ground import OmniDrive
+from usarmjx.models.drives.ground import Ackermann, OmniDrive, Wheel
 from usarmjx.models.ini.items import (
     ITEM_LISTS,
     ItemClasses,
@@ -20,8 +19,7 @@ from usarmjx.models.ini.items import (
     read_mount,
     resolve_parent,
 )
-from usarmjx.models.ini.packages import Definitions, read_package, templates
-from usarmjx.models.ini.pairs import JointPair, build_parts, read_pairs
+from usarmjx.models.ini.pairs import Definitions, JointPair, build_parts, read_package, read_pairs, templates
 from usarmjx.models.ini.parameters import apply_parameters, with_stereo
 from usarmjx.models.ini.parse import (
     Line,

@@ -6,8 +6,7 @@ chosen.
 
 import math
 
-from usarmjx.models.drives.ackermann import Wheel
-from usarmjx.models.drives.ground import OmniDrive
+from usarmjx.models.drives.ground import OmniDrive, Wheel
 from usarmjx.models.robots.kit import (
     BLACK,
     DARK,

@@ -3,7 +3,8 @@
 A `Viewpoint` and the geoms of a world give a `Picture`; `Batch.render` and `usarmjx.sim.Annotator` take it.
 The labels say what a pixel of `Picture.segmentation` shows, `INSTANCES` which one. Private: `mounts` finds
 cameras of a robot class, `lenses` makes rays, `casters` finds what they meet, `shading` and `paint` colour
-it, `imaging` adds blur and noise, `programs` compiles in the background. Begin with `picture.render_picture`.
+it, `Imaging` adds noise and exposure, `programs` compiles in the background. Begin with
+`picture.render_picture`.
 """
 
 from typing import TYPE_CHECKING

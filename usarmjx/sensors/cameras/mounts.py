@@ -1,25 +1,175 @@
-"""Cameras and headlights of a robot class: mounts, zoom limits, lenses, and geoms that cover a lens."""
+"""Cameras and headlights of a robot class: mounts, zoom limits, lenses, and geoms that cover a lens.
 
-from dataclasses import dataclass
+`Imaging` is what happens behind the lens: exposure, noise and supersampling.
+"""
+
+import math
+from dataclasses import dataclass, replace
 from functools import cache
 from types import ModuleType
-from typing import Literal
+from typing import Annotated, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import numpy_backend, xp
 from usarmjx.base.errors import SpecError, UnknownNameError
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
 from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
 from usarmjx.models.compile.visuals import Solids
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.effecters.jointless import Headlight
-from usarmjx.models.types.robot import CHASSIS, Mount, RobotSpec
-from usarmjx.sensors.cameras.imaging import PLAIN_IMAGING, Imaging, imaging_of
-from usarmjx.sensors.settings import CameraSettings, resolve_camera
+from usarmjx.models.effecters.standard import Headlight
+from usarmjx.models.types.robot import CHASSIS, Mount, RobotSpec, field_name, resolve_settings
+from usarmjx.sensors.base import SENSORS, SensorSettings
+
+DISTORTION_LIMITS = Setting(ge=-0.3, le=1.0)
+"""Limits of a distortion coefficient."""
+MAX_SUPERSAMPLING = 4
+"""Largest number of rays along each side of a pixel."""
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """Settings of a camera (manual 10.14.2, its CONF example, and 3.2.6.2).
+
+    Attributes:
+        weight: Share of the payload [kg].
+        camera_def_fov: Initial horizontal field of view [rad].
+        camera_min_fov: Smallest field of view [rad].
+        camera_max_fov: Largest field of view [rad].
+        is_stereo: Whether it has two lenses.
+        stereo_spacing: Half the offset from the left to the right lens, in USARSim's axes [m].
+        omni: Whether it faces a parabolic mirror; the packages of manual 10.15 always do.
+        exposure: Factor on the brightness of its pictures. Own key, like the following.
+        distortion_k1: Brown's radial distortion: coefficient of the squared distance from the centre, in
+            focal lengths; negative is barrel distortion.
+        distortion_k2: Coefficient of the fourth power.
+        image_noise: Standard deviation of the noise of each colour of each pixel, of 255.
+        supersampling: Rays along each side of a pixel, for smooth edges.
+    """
+
+    weight: Annotated[float, NOT_NEGATIVE] = 0.4
+    camera_def_fov: float = 0.8727
+    camera_min_fov: float = 0.3491
+    camera_max_fov: float = 2.0944
+    is_stereo: bool = False
+    stereo_spacing: tuple[tuple[str, float], ...] = (("Y", 0.05),)
+    omni: bool = False
+    exposure: Annotated[float, POSITIVE] = 1.0
+    distortion_k1: Annotated[float, DISTORTION_LIMITS] = 0.0
+    distortion_k2: Annotated[float, DISTORTION_LIMITS] = 0.0
+    image_noise: Annotated[float, NOT_NEGATIVE] = 0.0
+    supersampling: Annotated[int, Setting(ge=1, le=MAX_SUPERSAMPLING)] = 1
+
+
+def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
+    """Return the settings of a camera; a default field of view is clamped to the limits.
+
+    So equal CameraMinFov and CameraMaxFov make a camera of that field of view (manual 10.14.2).
+
+    Raises:
+        UnknownNameError: See `models.types.robot.checked`.
+        SpecError: Likewise; or fields of view in the wrong order or not between 0 and pi.
+    """
+    settings = resolve_settings(CameraSettings, mount.all_options, owner)
+    low, high = settings.camera_min_fov, settings.camera_max_fov
+    if "camera_def_fov" not in {field_name(key) for key, _ in mount.options}:
+        settings = replace(settings, camera_def_fov=max(low, min(high, settings.camera_def_fov)))
+    if not 0 < low <= settings.camera_def_fov <= high < math.pi:
+        raise SpecError(
+            f"{owner}: fields of view are {low:g} to {high:g}, at first {settings.camera_def_fov:g} rad; "
+            "expected 0 < CameraMinFov <= CameraDefFov <= CameraMaxFov < pi"
+        )
+    return settings
+
+
+def carried_weight(robot: RobotSpec) -> float:
+    """Return the weight of all sensors, cameras and effecters of a robot class [kg].
+
+    It is not added to any body: the mass of an item is in the solids of its part (manual 10, footnote 3).
+
+    Raises:
+        UnknownNameError: An item has an unknown type or setting.
+    """
+    weights = [_weight(mount, SENSORS.get(mount.kind).settings_class) for mount in robot.sensors]
+    weights += [_weight(mount, CameraSettings) for mount in robot.cameras]
+    weights += [effecter.settings.weight for effecter in effecters_of(robot)]
+    return float(sum(weights))
+
+
+def _weight(mount: Mount, kind: type[object]) -> float:
+    settings = resolve_settings(kind, mount.all_options, f"{mount.kind} {mount.name}")
+    return getattr(settings, "weight", SensorSettings.weight)
+
+
+def overload(robot: RobotSpec) -> str:
+    """Return the fault if a robot carries more than its payload, otherwise "".
+
+    A payload of 0 is unknown.
+    """
+    load = carried_weight(robot)
+    if not robot.payload or load <= robot.payload + 1e-9:
+        return ""
+    items = len(robot.sensors) + len(robot.cameras) + len(robot.effecters)
+    return f"{robot.name} carries {load:.2f} kg of {items} items, its payload is {robot.payload:.2f} kg"
+
+
+class Imaging(NamedTuple):
+    """Imaging parameters of a camera.
+
+    Attributes:
+        exposure: Factor on brightness.
+        distortion: k1 and k2 of the lens; None: no distortion (2,).
+        noise: Standard deviation of each colour, of 255; None: no noise.
+        supersampling: Rays along each side of a pixel.
+    """
+
+    exposure: float = 1.0
+    distortion: np.ndarray | None = None
+    noise: float | None = None
+    supersampling: int = 1
+
+
+PLAIN_IMAGING = Imaging()
+"""Imaging of an ideal camera."""
+
+
+def imaging_of(settings: CameraSettings) -> Imaging:
+    """Return the imaging parameters of settings; effects that are off are None and cost nothing."""
+    bend = np.array([settings.distortion_k1, settings.distortion_k2], np.float32)
+    return Imaging(
+        exposure=settings.exposure,
+        distortion=bend if bend.any() else None,
+        noise=settings.image_noise or None,
+        supersampling=settings.supersampling,
+    )
+
+
+def quantize(rgb: Array, noise: Array | None, seed: Array | int, slot: Array | int) -> Array:
+    """Return colours in [0, 1] (..., 3) as uint8 levels, with noise if there is any.
+
+    Args:
+        rgb: Colours.
+        noise: Standard deviation of the noise, of 255 ().
+        seed: Seed of the noise ().
+        slot: Slot of the robot, whose noise is its own ().
+    """
+    bright = 255 * rgb
+    if noise is not None:
+        key = random.fold_in(random.fold_in(random.key(0), seed), slot)
+        bright = xp.clip(bright + noise * random.normal(key, bright.shape), 0.0, 255.0)
+    return xp.floor(bright + 0.5).astype(xp.uint8)
+
+
+def box_filter(values: Array, times: int) -> Array:
+    """Return the mean of each block of `times` x `times` values of a picture (rows, columns, ...)."""
+    rows, columns = values.shape[0] // times, values.shape[1] // times
+    return values.reshape(rows, times, columns, times, *values.shape[2:]).mean((1, 3))
+
 
 COVER_DISTANCE = 0.04
 """Distance from the lens within which a solid covers it [m]."""

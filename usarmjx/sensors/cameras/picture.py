@@ -12,9 +12,8 @@ from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, RayHits
-from usarmjx.sensors.cameras.imaging import box_filter, quantize
 from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, from_tiles, omni_rays, pinhole_rays
-from usarmjx.sensors.cameras.mounts import Camera
+from usarmjx.sensors.cameras.mounts import Camera, box_filter, quantize
 from usarmjx.sensors.cameras.paint import INSTANCES, OUTSIDE_LABEL, SKY_LABEL, camera_owners
 from usarmjx.sensors.cameras.shading import RenderScene, Shaded, shade, shadow_gain
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE

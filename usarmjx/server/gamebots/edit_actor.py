@@ -25,7 +25,7 @@ from usarmjx.models.types.robot import (
     resolve_settings,
 )
 from usarmjx.sensors.base import SENSORS
-from usarmjx.sensors.settings import CameraSettings, resolve_camera
+from usarmjx.sensors.cameras.mounts import CameraSettings, resolve_camera
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 

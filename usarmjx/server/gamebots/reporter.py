@@ -8,7 +8,7 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
 from usarmjx.base.transforms import angles_from_mat
-from usarmjx.sensors.object_sensor import ObjectSensor
+from usarmjx.sensors.ranging import ObjectSensor
 from usarmjx.server.gamebots.grippers import gripper_reports
 from usarmjx.server.gamebots.sensors import package_report, robot_report, sensor_report
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector

@@ -23,13 +23,12 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.recording.shots import CameraShot, recorded_arena
 from usarmjx.server.ros2.transport import CLOCK, DEFAULT, LATCHED, SENSOR, Qos, message_hash
-from usarmjx.server.rosbridge import motion, readings
+from usarmjx.server.rosbridge import motion, topics
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.encodings import MessageBytes
 from usarmjx.server.rosbridge.motion import MAP, SensorFrame, frame_name, true_estimate
-from usarmjx.server.rosbridge.readings import pinhole_info
 from usarmjx.server.rosbridge.robot_description import urdf
-from usarmjx.server.rosbridge.topics import IMAGE, USUAL_NAMES, occupancy_grid
+from usarmjx.server.rosbridge.topics import IMAGE, USUAL_NAMES, occupancy_grid, pinhole_info
 from usarmjx.view.drawing import Drawing, DrawnMount, DrawnRobot, Frame, RobotFrame
 
 VERSION = 9
@@ -41,7 +40,7 @@ SEPARATOR = "=" * 80
 ROS2 = RosVersion.ROS2
 SCANNERS = ("RangeScanner", "IRScanner")
 """Types on the wire of plane scanners."""
-RADIATION = {"Sonar": readings.ULTRASOUND, "IR": readings.INFRARED}
+RADIATION = {"Sonar": topics.ULTRASOUND, "IR": topics.INFRARED}
 """Radiation of the sensors that are a Range, by their types on the wire."""
 POSES = ("Odometry", "INS", "GroundTruth")
 """Types on the wire of sensors that estimate a pose."""
@@ -316,7 +315,7 @@ def _of_frame(frame: Frame, drawing: Drawing) -> Iterator[BagMessage]:
         yield BagMessage(f"/{name}/odom", "nav_msgs/Odometry", odom, DEFAULT)
         joints = _joints(time, drawn, robot)
         yield BagMessage(f"/{name}/joint_states", "sensor_msgs/JointState", joints, DEFAULT)
-        battery = readings.battery_state(ROS2, time, name, drawn.battery_life, robot.battery)
+        battery = topics.battery_state(ROS2, time, name, drawn.battery_life, robot.battery)
         yield BagMessage(f"/{name}/battery_state", "sensor_msgs/BatteryState", battery, DEFAULT)
     yield BagMessage("/tf", "tf2_msgs/TFMessage", {"transforms": transforms}, DEFAULT)
 
@@ -344,7 +343,7 @@ def _of_readings(time: float, content: dict[str, Any], drawing: Drawing) -> Iter
         for below, kind, message in _reading(time, name, mount, np.asarray(value)):
             yield BagMessage(f"/{name}/{below}", kind, message, SENSOR)
             if kind == "sensor_msgs/LaserScan":  # some viewers draw clouds only
-                points = readings.scan_points(message)
+                points = topics.scan_points(message)
                 yield BagMessage(f"/{name}/{below}/points", "sensor_msgs/PointCloud2", points, SENSOR)
             alias = f"/{name}/{USUAL_NAMES.get(kind)}"
             is_first = sensor == _first_of(robot, mount.kind)
@@ -367,13 +366,13 @@ def _reading(
         settings=settings, mounts=tuple(SimpleNamespace(name=title) for title in mount.names)
     )
     make = {
-        "IMU": ("sensor_msgs/Imu", partial(readings.imu, sensor)),
-        **dict.fromkeys(SCANNERS, ("sensor_msgs/LaserScan", partial(readings.scan, sensor))),
+        "IMU": ("sensor_msgs/Imu", partial(topics.imu, sensor)),
+        **dict.fromkeys(SCANNERS, ("sensor_msgs/LaserScan", partial(topics.scan, sensor))),
         **{kind: ("geometry_msgs/PoseStamped", partial(_pose, kind)) for kind in POSES},
     }
     if mount.kind in RADIATION:
         for index, title in enumerate(mount.names):
-            made = readings.ranger(sensor, index, RADIATION[mount.kind])(ROS2, time, robot, value)
+            made = topics.ranger(sensor, index, RADIATION[mount.kind])(ROS2, time, robot, value)
             yield frame_name(title), "sensor_msgs/Range", made
     elif mount.kind in make:
         kind, function = make[mount.kind]
@@ -382,4 +381,4 @@ def _reading(
 
 def _pose(kind: str, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
     frame = f"{robot}/start" if kind == "Odometry" else MAP
-    return readings.pose_estimate(version, time, frame, value)
+    return topics.pose_estimate(version, time, frame, value)

@@ -11,11 +11,21 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
-from cyclonedds.core import DDSException, Entity, GuardCondition, ReadCondition, WaitSet
+from cyclonedds._clayer import ddspy_take, ddspy_write
+from cyclonedds.core import (
+    DDSException,
+    Entity,
+    GuardCondition,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct, make_idl_struct, types
 from cyclonedds.pub import DataWriter
@@ -27,7 +37,6 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from usarmjx.base.errors import UsageError, quoted
-from usarmjx.server.ros2.raw_dds import ANY_STATE, Reader, Writer, delete, take_raw, write_raw
 from usarmjx.server.ros2.transport import (
     DEFAULT,
     ENCLAVE,
@@ -44,6 +53,36 @@ from usarmjx.server.ros2.transport import (
 )
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.encodings import CDR_HEADER, MessageBytes
+
+# The functions below are in the binding's compiled part, which has no types; its methods call them, too.
+# pyright: reportPrivateUsage=false, reportUnknownVariableType=false, reportUnknownMemberType=false
+# pyright: reportUnknownArgumentType=false
+
+
+Writer: TypeAlias = DataWriter[IdlStruct]
+Reader: TypeAlias = DataReader[IdlStruct]
+ANY_STATE = SampleState.Any | ViewState.Any | InstanceState.Any
+MOST_TAKEN = 64
+"""Most samples that are taken of a reader at once."""
+
+
+def write_raw(writer: Writer, data: bytes) -> bool:
+    """Write a message's CDR; return False if slow readers had no room for it."""
+    return ddspy_write(writer._ref, data + bytes(-len(data) % 4)) == 0
+
+
+def take_raw(reader: Reader) -> Iterator[bytes]:
+    """Yield the CDR of messages that have come; none of a reader that has just been deleted."""
+    samples: Any = ddspy_take(reader._ref, ANY_STATE, MOST_TAKEN)
+    if not isinstance(samples, int):
+        yield from (bytes(data) for data, about in samples if about.valid_data)
+
+
+def delete(entity: Entity) -> None:
+    """Delete an entity and all that it has."""
+    # The binding deletes an entity when Python forgets it; then a second deletion does nothing.
+    entity.__del__()
+
 
 # Some of the library's own types are missing.
 # pyright: reportUnknownMemberType=false

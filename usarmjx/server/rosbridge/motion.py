@@ -21,10 +21,9 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat, quat_from_mat, quat_times, rotated
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles, quat_from_angles
 from usarmjx.models.compile.kinematic_tree import KinematicTree
-from usarmjx.models.drives.ackermann import Ackermann
 from usarmjx.models.drives.base import Drive, RobotState
 from usarmjx.models.drives.flying import Blimp, RotaryWing
-from usarmjx.models.drives.ground import OmniDrive, SkidSteer
+from usarmjx.models.drives.ground import Ackermann, OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.motion import Odometry
 from usarmjx.sensors.ranging import ScannerSettings

@@ -38,8 +38,7 @@ from usarmjx.server.rosbridge.republisher import (
     feedback,
     transform_array,
 )
-from usarmjx.server.rosbridge.rosapi import RosApi
-from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosRobots, read_spawn
+from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosApi, RosRobots, read_spawn
 from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
 from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
 from usarmjx.server.runtime.logs import FaultLog

@@ -43,12 +43,12 @@ from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.rollout import Rollout
-from usarmjx.train.learning.stopping import StopRequest
 from usarmjx.train.learning.train_state import STAGGER_STREAM, Networks, TrainState
 from usarmjx.train.learning.trainer import (
     IterationsWatch,
     Records,
     RunOutputs,
+    StopRequest,
     TrainResult,
     check_ahead,
     compiling,

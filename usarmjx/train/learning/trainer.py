@@ -1,5 +1,10 @@
-"""Training: iterations with rollout, update, log, checkpoint; and going on where a run was left."""
+"""Training: iterations with rollout, update, log, checkpoint; and going on where a run was left.
 
+Ctrl-C and SIGTERM are requests: a training writes a checkpoint before it ends.
+"""
+
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -9,6 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from threading import Event
+from types import FrameType, TracebackType
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -29,13 +35,71 @@ from usarmjx.train.learning.config import (
     make_record,
 )
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
-from usarmjx.train.learning.launch import check_parent
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
-from usarmjx.train.learning.processes import ProcessGroup, run_lock
-from usarmjx.train.learning.stopping import StopRequest
+from usarmjx.train.learning.processes import ProcessGroup, check_parent, run_lock
 from usarmjx.train.learning.train_state import TrainState
 from usarmjx.train.learning.trajectory import Inspector, RolloutState
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class StopRequest:
+    """Request to end a training after the iteration at work, made by a signal.
+
+    Signals before `arm` act as usual, since there is nothing to keep; so does a second one. Only the main
+    thread of a process gets signals, elsewhere none is caught.
+
+    Args:
+        say: Receives a line when the request is made.
+        on_arm: Called before the first signal is caught, as to end another handling of signals.
+
+    Attributes:
+        number: Number of the signal; 0 without a request.
+    """
+
+    def __init__(self, say: Callable[[str], None], on_arm: Callable[[], None] | None = None) -> None:
+        self._say, self._on_arm = say, on_arm
+        self._before: dict[int, object] = {}
+        self.number = 0
+
+    def __enter__(self) -> "StopRequest":
+        """Begin; `arm` catches signals."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Let signals act as before."""
+        self._restore()
+
+    def arm(self) -> None:
+        """Catch signals from now on, except those that are ignored, as under `nohup`."""
+        if self._before or self.number or threading.current_thread() is not threading.main_thread():
+            return
+        if self._on_arm is not None:
+            self._on_arm()
+        for number in SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._request)
+
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        self._restore()
+        self.number = number
+        name = signal.Signals(number).name
+        self._say(f"{name}: ending with a checkpoint after this iteration; a second one ends at once")
+
+    def _restore(self) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # pyright: ignore[reportArgumentType]
+        self._before = {}
+
+    @property
+    def requested(self) -> bool:
+        """Whether the training is requested to end."""
+        return self.number != 0
+
 
 Records: TypeAlias = list[dict[str, Any]]
 """A record for each of the runs that train at once."""
