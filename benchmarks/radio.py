@@ -25,8 +25,8 @@ from benchmarks.baselines import (
 )
 from benchmarks.cases import AllBaselineOptions, BaselineOptions, RadioCase
 from benchmarks.tools import rate_of, run_case, time_repeats
-from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.process import cores
+from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate_links, no_links
 from usarmjx.models.types.shapes import OPAQUE

@@ -26,9 +26,9 @@ from benchmarks.baselines import (
 from benchmarks.cases import AllBaselineOptions, BaselineOptions, RayCase, one_class
 from benchmarks.radio import ARENA_SIDE, random_walls
 from benchmarks.tools import rate_of, run_case, time_repeats
-from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.errors import UsageError
 from usarmjx.base.process import cores
+from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.models.compile.kinematic_tree import (
     BodyPoses,
     KinematicTree,

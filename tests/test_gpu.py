@@ -16,7 +16,7 @@ from tests.engines.test_planar_contact import PEN
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from tests.train.envs.test_steady import goal_env, live_bytes, used_after
 from tests.train.mapping.mazes import mazes
-from usarmjx.base.accelerator import warp_in_use
+from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.engines import choose_engine
 from usarmjx.engines.mjx_warp import GRAPH_MODES
 from usarmjx.engines.planar import engine as planar_engine

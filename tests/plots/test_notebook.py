@@ -15,7 +15,7 @@ import usarmjx
 from usarmjx.base.errors import UsageError
 from usarmjx.models.generate import generate_many
 from usarmjx.plots import view_batch
-from usarmjx.plots.films.solids import solids_of
+from usarmjx.plots.films.raster import solids_of
 from usarmjx.view.training_page import BatchSource
 
 

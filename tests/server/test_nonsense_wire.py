@@ -12,8 +12,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.handy import GRIPPER, TAGGER, known
 from tests.server import peers
-from usarmjx.base.parameters import Parameters
-from usarmjx.base.settings import SHARE
+from usarmjx.base.settings import SHARE, Parameters
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import EFFECTERS, effecters_of
 from usarmjx.models.robots.pioneer import P2AT

@@ -11,12 +11,18 @@ captured fails with CUDA error 901.
 
 import gc
 import hashlib
+import logging
 from collections.abc import Callable, Iterable
 from functools import cache, wraps
 from importlib import import_module
+from importlib.util import find_spec
 from threading import Lock
 from types import SimpleNamespace
 from typing import Any, NamedTuple
+
+import jax
+
+from usarmjx.base.installation import install_command
 
 _LOCK = Lock()
 """Guards the launch table and Warp's own counter."""
@@ -191,3 +197,24 @@ def expect(known: Iterable[Launch]) -> None:
     for launch in known:
         module, name = launch.maker
         getattr(import_module(module), name)(*launch.given).expect(launch)
+
+
+log = logging.getLogger(__name__)
+
+
+@cache
+def warp_in_use() -> bool:
+    """Return whether kernels of Warp replace plain JAX: on GPUs where Warp is installed.
+
+    They cast rays, count the radio's walls, find ways over maps and what is around robots of engine `planar`,
+    and keep these apart.
+    """
+    if jax.default_backend() != "gpu":
+        return False
+    if find_spec("warp") is None:
+        log.warning(
+            "Warp is not installed: plain JAX casts rays on this GPU, which is slow; %s installs it",
+            install_command("cuda"),
+        )
+        return False
+    return True

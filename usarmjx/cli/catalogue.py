@@ -13,8 +13,8 @@ import jax
 import numpy as np
 
 from usarmjx.base.installation import install_command
+from usarmjx.base.settings.files import is_tuple
 from usarmjx.base.tables import markdown_table
-from usarmjx.base.type_guards import is_tuple
 from usarmjx.engines import ENGINES, choose_engine
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings.files import is_list
 from usarmjx.base.tables import markdown_table
-from usarmjx.base.type_guards import is_list
 from usarmjx.cli.common import (
     ErrorExit,
     IniOption,

@@ -15,7 +15,7 @@ from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_s
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
     from usarmjx.recording.file import RecordingFile
-    from usarmjx.recording.shots import CameraShot
+    from usarmjx.recording.reader import CameraShot
     from usarmjx.server.worlds.served_world import ServedWorld
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState

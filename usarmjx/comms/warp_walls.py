@@ -15,9 +15,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.comms import clipping
 from usarmjx.models.compile.ray_geoms import COLUMN_KIND
-from usarmjx.sensors.rays.batched_calls import merge_vmaps
 from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, geom_row, load_vec4, local, pack, thread_index
-from usarmjx.sensors.rays.targets import GeomBlockInfo, Geoms
+from usarmjx.sensors.rays.targets import GeomBlockInfo, Geoms, merge_vmaps
 from usarmjx.sensors.rays.warp_kinds import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, TINY, TRIANGLE
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})

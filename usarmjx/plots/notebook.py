@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.plots.films.solids import Solids, solids_of
+from usarmjx.plots.films.raster import Solids, solids_of
 from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState

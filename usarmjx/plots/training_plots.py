@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings.files import is_mapping
 from usarmjx.base.settings.json_file import read_json_lines
-from usarmjx.base.type_guards import is_mapping
 from usarmjx.plots.style import (
     FEWEST_FOR_LINE,
     MOST_PANELS,

@@ -15,8 +15,7 @@ from usarmjx.base.installation import install_command
 from usarmjx.base.settings.files import first_line
 from usarmjx.recording.file import CHANNELS, topic_of
 from usarmjx.recording.foxglove import NANO, WORLD
-from usarmjx.recording.reader import Recording
-from usarmjx.recording.shots import CameraShot, grid_message, recorded_arena, shot_messages
+from usarmjx.recording.reader import CameraShot, Recording, grid_message, recorded_arena, shot_messages
 
 BAG = "bag"
 """First part of topics and frames of a bag."""

@@ -17,7 +17,7 @@ from usarmjx.base.errors import UsageError
 MODULES = (
     *("comms.attenuation", "comms.links", "comms.mail"),
     *("models.compile.physics", "models.compile.randomization"),
-    *("models.drives.base", "models.drives.fluid", "models.drives.flying"),
+    *("models.drives.base", "models.drives.fluid"),
     *("models.drives.ground", "models.types.arena", "models.types.robot", "models.types.shapes"),
     *("recording.inputs", "sensors.sketch", "sim.control", "sim.scene", "view.drawing"),
 )

@@ -20,10 +20,9 @@ from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError
-from usarmjx.base.parameters import ANY_PARAMETERS, Parameters
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
-from usarmjx.base.settings import NOT_NEGATIVE, Setting
+from usarmjx.base.settings import ANY_PARAMETERS, NOT_NEGATIVE, Parameters, Setting
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree
 from usarmjx.models.drives.base import RobotState

@@ -16,9 +16,8 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
-from usarmjx.base.parameters import Parameters
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
-from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Parameters, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.robot import ANGLE_STEP, Mount

@@ -14,8 +14,7 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.base.parameters import Parameters
-from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE, Setting
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE, Parameters, Setting
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN

@@ -14,9 +14,8 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.base.parameters import Parameters
 from usarmjx.base.rotations import matvec
-from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Parameters, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, vectorized

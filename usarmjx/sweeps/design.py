@@ -23,7 +23,7 @@ from usarmjx.base.estimates import (
     interquartile_effects,
     probability_of_improvement,
 )
-from usarmjx.base.type_guards import is_tuple
+from usarmjx.base.settings.files import is_tuple
 from usarmjx.sweeps.spec import as_text
 from usarmjx.sweeps.store import CellRecord
 from usarmjx.train.envs.membership import seed_of

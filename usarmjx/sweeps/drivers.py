@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.type_guards import is_mapping
+from usarmjx.base.settings.files import is_mapping
 from usarmjx.sweeps.spec import rename_policy
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env

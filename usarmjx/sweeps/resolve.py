@@ -10,7 +10,7 @@ import yaml
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import default_reader, to_data
-from usarmjx.base.type_guards import is_list, is_mapping, is_tuple
+from usarmjx.base.settings.files import is_list, is_mapping, is_tuple
 from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.parts import parts_of as robot_parts
 from usarmjx.models.compile.physics import PHYSICS

@@ -22,8 +22,7 @@ from usarmjx.base.settings import (
     describe,
     read_file,
 )
-from usarmjx.base.settings.files import shown
-from usarmjx.base.type_guards import is_list, is_mapping, is_tuple
+from usarmjx.base.settings.files import is_list, is_mapping, is_tuple, shown
 from usarmjx.train.task_names import newest_name, policy_name
 
 FIELDS = "fields"

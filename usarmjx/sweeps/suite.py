@@ -22,8 +22,8 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.settings import Setting, default_reader, read_file
+from usarmjx.base.settings.files import is_list, is_mapping
 from usarmjx.base.settings.json_file import kept_text, read_kept
-from usarmjx.base.type_guards import is_list, is_mapping
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.contents import key_name, policy_digest
 from usarmjx.sweeps.drivers import find_driver, policy_of_run, rename_run, script_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room, quick_jit
-from usarmjx.base import accelerator
+from usarmjx.base import warp_functions
 from usarmjx.base.errors import UsageError
 from usarmjx.base.installation import install_command
 from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
@@ -128,8 +128,8 @@ def test_a_gpu_takes_warp_and_says_where_it_is_missing(monkeypatch, caplog):
     def used(backend, installed):
         caplog.clear()
         monkeypatch.setattr(jax, "default_backend", lambda: backend)
-        monkeypatch.setattr(accelerator, "find_spec", lambda module: object() if installed else None)
-        return accelerator.warp_in_use.__wrapped__(), caplog.messages
+        monkeypatch.setattr(warp_functions, "find_spec", lambda module: object() if installed else None)
+        return warp_functions.warp_in_use.__wrapped__(), caplog.messages
 
     assert used("cpu", True) == used("cpu", False) == (False, [])
     assert used("gpu", True) == (True, [])

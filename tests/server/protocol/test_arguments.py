@@ -3,8 +3,7 @@
 import pytest
 
 from usarmjx.base.errors import PeerError
-from usarmjx.base.parameters import Parameters
-from usarmjx.base.settings import Setting
+from usarmjx.base.settings import Parameters, Setting
 from usarmjx.server.protocol.arguments import ANY_KEY, ARGUMENTS, ArgumentKind, read_parameters
 from usarmjx.server.protocol.command_parsers import COMMANDS, parse_command
 from usarmjx.server.protocol.grammar import parse_message

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.settings.declaration import (
+    ANY_PARAMETERS,
     AT_LEAST_ONE,
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
+    Parameters,
     RenamedSettingWarning,
     Setting,
     SettingField,
@@ -41,11 +43,13 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 __all__ = [
+    "ANY_PARAMETERS",
     "AT_LEAST_ONE",
     "NOT_NEGATIVE",
     "POSITIVE",
     "SHARE",
     "FileValue",
+    "Parameters",
     "RenamedSettingWarning",
     "Setting",
     "SettingField",

@@ -1,8 +1,12 @@
-"""Values of YAML, JSON and TOML files with their positions, so that errors name file and line."""
+"""Values of YAML, JSON and TOML files with their positions, so that errors name file and line.
 
+The type guards are for data of unknown type: the container is known afterwards, its elements are Any.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeGuard, cast
 
 from usarmjx.base.errors import SpecError, UsageError
 
@@ -112,3 +116,18 @@ def joined(name: str, more: str) -> str:
     """Return the names that lead to a value, cut short: each value keeps its own."""
     whole = (name + more).lstrip(".")
     return whole if len(whole) <= MAX_QUOTED else "..." + whole[3 - MAX_QUOTED :]
+
+
+def is_mapping(value: object) -> TypeGuard[Mapping[Any, Any]]:
+    """Return whether data is a mapping."""
+    return isinstance(value, Mapping)
+
+
+def is_list(value: object) -> TypeGuard[list[Any]]:
+    """Return whether data is a list."""
+    return isinstance(value, list)
+
+
+def is_tuple(value: object) -> TypeGuard[tuple[Any, ...]]:
+    """Return whether data is a tuple."""
+    return isinstance(value, tuple)

@@ -13,9 +13,8 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import Registry
-from usarmjx.base.settings import NOT_NEGATIVE, Setting
+from usarmjx.base.settings import NOT_NEGATIVE, Parameters, Setting
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.types.robot import Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape

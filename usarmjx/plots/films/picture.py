@@ -15,12 +15,10 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.models.types.shapes import GLASS, MIRROR, OPAQUE
 from usarmjx.plots.films.overlays import Overlay
-from usarmjx.plots.films.raster import Canvas, FilmView, ShadowMap, SunView
-from usarmjx.plots.films.solids import Solids, solids_of
+from usarmjx.plots.films.raster import Canvas, FilmView, ShadowMap, Solids, SunView, solids_of
 from usarmjx.plots.gallery import CHECKER_SIZES, MAX_CHECKERS, SUN
 from usarmjx.plots.render import Lighting, lit_scene
-from usarmjx.recording.reader import Recording
-from usarmjx.recording.shots import CameraShot
+from usarmjx.recording.reader import CameraShot, Recording
 from usarmjx.recording.source import RecordingSource
 from usarmjx.sensors.cameras.casters import Beams, RayHits
 from usarmjx.sensors.cameras.paint import GeomAppearance

@@ -9,7 +9,6 @@ import warp as wp
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
-from usarmjx.sensors.rays.batched_calls import merge_vmaps
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast_warp import (
     GROUP_SIZE,
@@ -20,7 +19,7 @@ from usarmjx.sensors.rays.raycast_warp import (
     pack,
     thread_index,
 )
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits, merge_vmaps
 from usarmjx.sensors.rays.warp_kinds import normal_of
 
 wp.set_module_options({"enable_backward": False})

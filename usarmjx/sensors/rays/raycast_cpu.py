@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.sensors.rays.batched_calls import merge_vmaps
 from usarmjx.sensors.rays.bundles import (
     Cone,
     Fans,
@@ -24,7 +23,7 @@ from usarmjx.sensors.rays.bundles import (
     cone_sphere_distance,
 )
 from usarmjx.sensors.rays.kernels import RAY_KERNELS, XYZ, bounding_radius
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits, merge_vmaps
 
 RAYS_AT_A_TIME = 256
 """Approximate number of rays in a group of casts; its bundles iterate in lockstep."""

@@ -17,10 +17,9 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays import bundles
-from usarmjx.sensors.rays.batched_calls import merge_vmaps
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import bounding_box, bounding_radius
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, merge_vmaps
 from usarmjx.sensors.rays.warp_kinds import cone_box_distance, cone_sphere_distance, distance_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})

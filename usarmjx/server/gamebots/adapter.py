@@ -7,8 +7,8 @@ from collections.abc import Callable
 from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.clock import wrapped_step
 from usarmjx.base.errors import PeerError, PlaceError, UsageError, UsarmjxError
-from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import is_name
+from usarmjx.base.settings import Parameters
 from usarmjx.models.compile.parts import part_name, parts_of
 from usarmjx.models.effecters import Gripper
 from usarmjx.models.robots import ROBOTS

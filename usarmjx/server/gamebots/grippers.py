@@ -10,8 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.parameters import Parameters
-from usarmjx.base.settings import Setting
+from usarmjx.base.settings import Parameters, Setting
 from usarmjx.models.compile.parts import part_name, parts_of
 from usarmjx.models.effecters import Gripper
 from usarmjx.server.protocol.arguments import read_parameters

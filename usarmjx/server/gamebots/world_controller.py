@@ -33,9 +33,8 @@ from usarmjx.server.protocol.commands import Control
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import Message, Segment, clip, four_decimals_list
 from usarmjx.server.worlds.object_motion import angles_of
-from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.robot import Robot, wire_pose
 from usarmjx.server.worlds.served_world import ServedWorld
-from usarmjx.server.worlds.wire_pose import wire_pose
 
 CLASS_NAME = "WorldController"
 """Class that INIT names."""

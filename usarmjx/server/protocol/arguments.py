@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from usarmjx.base.errors import PeerError
-from usarmjx.base.parameters import Parameters
-from usarmjx.base.settings import Setting
+from usarmjx.base.settings import Parameters, Setting
 from usarmjx.server.protocol.commands import DRIVE_KEYS
 from usarmjx.server.protocol.grammar import Message, clip, is_number, split_vector, to_float
 

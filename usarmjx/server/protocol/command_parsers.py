@@ -10,9 +10,8 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError
-from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import Registry
-from usarmjx.base.settings import SHARE
+from usarmjx.base.settings import SHARE, Parameters
 from usarmjx.server.protocol.arguments import check_arguments, read_parameters
 from usarmjx.server.protocol.commands import (
     DRIVE_KEYS,

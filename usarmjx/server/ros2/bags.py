@@ -20,8 +20,7 @@ from usarmjx.base.files import atomic_write
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.compile.raster import floor_map
 from usarmjx.models.robots import ROBOTS
-from usarmjx.recording.reader import RecordedMessage, Recording
-from usarmjx.recording.shots import CameraShot, recorded_arena
+from usarmjx.recording.reader import CameraShot, RecordedMessage, Recording, recorded_arena
 from usarmjx.server.ros2.transport import CLOCK, DEFAULT, LATCHED, SENSOR, Qos, message_hash
 from usarmjx.server.rosbridge import motion, topics
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion

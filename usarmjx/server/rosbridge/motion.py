@@ -22,7 +22,7 @@ from usarmjx.base.rotations import mat_from_quat, quat_from_mat, quat_times, rot
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles, quat_from_angles
 from usarmjx.models.compile.kinematic_tree import KinematicTree
 from usarmjx.models.drives.base import Drive, RobotState
-from usarmjx.models.drives.flying import Blimp, RotaryWing
+from usarmjx.models.drives.fluid import Blimp, RotaryWing
 from usarmjx.models.drives.ground import Ackermann, OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.motion import Odometry

@@ -23,8 +23,8 @@ from usarmjx.server.protocol.grammar import (
     parse_message,
     two_decimals_list,
 )
+from usarmjx.server.worlds.robot import wire_pose
 from usarmjx.server.worlds.served_world import ServedWorld
-from usarmjx.server.worlds.wire_pose import wire_pose
 
 MAX_LINE_SIZE = 1024
 """Longest line accepted [bytes]."""

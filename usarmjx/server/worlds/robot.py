@@ -5,7 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from usarmjx.base.transforms import Vec3
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.transforms import Vec3, angles_from_mat
 from usarmjx.models.compile.kinematic_tree import KinematicTree
 from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.types.robot import RobotSpec
@@ -13,6 +16,7 @@ from usarmjx.sensors.cameras.mounts import Camera, cameras_of
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.suite import Suite
 from usarmjx.server.protocol.commands import Trace
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.viewports import Viewports
 from usarmjx.sim.control import RobotCommand
 
@@ -176,3 +180,16 @@ class Robot:
             if effecter.is_type(kind) and effecter.mount.name.lower() == name.lower():
                 return index
         return None
+
+
+def wire_pose(pos: Array, quat: Array) -> tuple[Vec3, Vec3]:
+    """Return position [m] and roll, pitch and yaw [rad] on the wire.
+
+    Args:
+        pos: Position in our axes [m] (3,).
+        quat: Orientation, w first (4,).
+    """
+    with numpy_backend():
+        angles = angles_from_mat(np.asarray(mat_from_quat(np.asarray(quat)), float))
+    position = flip_wire_vector(np.asarray(pos, float).tolist())
+    return position, flip_wire_angles(np.asarray(angles, float).tolist())

@@ -17,9 +17,9 @@ import numpy as np
 from flax import struct
 from jax import custom_batching
 
-from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.base.errors import UsageError, extra
+from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.layout import ObservationLayout, Span
 from usarmjx.train.envs.task import Policy

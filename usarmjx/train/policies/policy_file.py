@@ -19,8 +19,8 @@ import numpy as np
 from usarmjx.base.errors import UsageError, WriteError, quoted
 from usarmjx.base.files import atomic_write
 from usarmjx.base.npz_file import NpzLimits, read_npz
+from usarmjx.base.settings.files import is_mapping
 from usarmjx.base.settings.json_file import parse_json
-from usarmjx.base.type_guards import is_mapping
 from usarmjx.train.envs.layout import ObservationLayout, layout_from_record, layout_record
 from usarmjx.train.policies.set_forward import KINDS, NumpyOperations, elu, set_outputs, set_shapes
 from usarmjx.train.task_names import recorded_name
