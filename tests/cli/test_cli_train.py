@@ -205,7 +205,7 @@ def test_several_processes_run_the_same_command(monkeypatch):
     """Each is told who it is by its environment, and so does not start others."""
     called = []
     monkeypatch.setattr(
-        "usarmjx.train.learning.processes.spawn", lambda count, command: called.append((count, command)) or 3
+        "usarmjx.train.learning.launch.spawn", lambda count, command: called.append((count, command)) or 3
     )
     monkeypatch.setattr(sys, "argv", ["usarmjx", "train", "--processes", "2"])
     result = invoke("train", "--task", "drive-to-goal", "--out", "x", "--processes", "2")

@@ -329,14 +329,14 @@ class _Shown:
 
 def _joined() -> bool:
     """Return whether this process is one of several that train together."""
-    from usarmjx.train.learning.processes import process_info
+    from usarmjx.train.learning.launch import process_info
 
     return process_info(os.environ) is not None
 
 
 def _run_training(task: str, options: TrainOptions, shown: _Shown, processes: int) -> None:
     """Train in this process or start several, show it where the options say, and print the score."""
-    from usarmjx.train.learning.processes import process_info, spawn
+    from usarmjx.train.learning.launch import process_info, spawn
 
     if processes > 1 and not _joined():
         raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))

@@ -234,7 +234,7 @@ def check_alone(views: Mapping[str, bool], processes: int) -> None:
     Raises:
         UsageError: Names it.
     """
-    from usarmjx.train.learning.processes import process_info
+    from usarmjx.train.learning.launch import process_info
 
     if processes > 1 or process_info(os.environ) is not None:
         raise UsageError("several seeds train in one process: leave out --processes, or --seeds")

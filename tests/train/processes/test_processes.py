@@ -12,11 +12,11 @@ from tests.train.runs import CONFIG, PATIENCE, PROGRAM, array_checksums, lines, 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.checkpoint import read_policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.processes import ProcessInfo, check_parent, process_info, spawn
+from usarmjx.train.learning.launch import ProcessInfo, check_parent, process_info, spawn
 
 SPAWN = """
 import sys
-from usarmjx.train.learning.processes import spawn
+from usarmjx.train.learning.launch import spawn
 sys.exit(spawn(2, [sys.executable, *sys.argv[1:]]))
 """
 

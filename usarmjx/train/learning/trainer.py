@@ -35,9 +35,10 @@ from usarmjx.train.learning.config import (
     make_record,
 )
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
+from usarmjx.train.learning.launch import check_parent
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
-from usarmjx.train.learning.processes import ProcessGroup, check_parent, run_lock
+from usarmjx.train.learning.processes import ProcessGroup, run_lock
 from usarmjx.train.learning.train_state import TrainState
 from usarmjx.train.learning.trajectory import Inspector, RolloutState
 
