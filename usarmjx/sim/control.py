@@ -33,6 +33,8 @@ def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Arra
     """
     here, servos = actuated_servos(plan)
     pos, vel = state.joint_pos[..., here], state.joint_vel[..., here]
+    # Both actuators of a joint together: the pulling one exerts stiffness * act, the holding one takes spring
+    # and damper off it.
     unclipped = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
     limit = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
     effort = xp.clip(unclipped, -limit, limit)
@@ -459,6 +461,8 @@ def _soft_servo(
     if share is None:
         return _servo(plan, targets, state, act, period, conditions)
     before = xp.ones_like(act) if conditions.hold is None else conditions.hold
+    # Activations were stored with the share of the step before (`ref * share` below): the servo goes on from
+    # the target itself.
     act = xp.where(before > 0.0, act / xp.where(before > 0.0, before, 1.0), act)
     servos = _servo(plan, targets, state, act, period, conditions)
     share = xp.where(targets[1][..., plan.actuated] == ControlMode.TORQUE, 1.0, share)
@@ -539,6 +543,7 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     up = mat[..., 2]
     # The axis of the shortest rotation from the robot's own up to the world's.
     axis = xp.cross(up, np.array([0.0, 0.0, 1.0], np.float32))
+    # Columns of the matrix are the robot's axes in the world's.
     nose = mat[..., 0]
     side = xp.where((axis * nose).sum(-1, keepdims=True) < -NEAREST_SIDE, -1.0, 1.0)
     # First the roll, then the pitch: about an axis in between the nose would turn aside.
@@ -547,6 +552,7 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     axis = axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
     spin = matvec(mat, state.angular)
     squared_size = np.square(np.array(plan.robot.dimensions, np.float32))
+    # The axis in the robot's own axes, so that its dimensions apply.
     squared_width = ((1.0 - matvec(mat.mT, axis) ** 2) * squared_size).sum(-1, keepdims=True)
     strength = plan.mass * GRAVITY * xp.sqrt(squared_width)
     # A torque is held for a control step, in which a small robot (a box of its dimensions) turns far: it is

@@ -179,6 +179,7 @@ def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
         stands = np.isin(group.slots, active)
         if stands.any():
             slots = group.slots[stands]
+            # Start poses go to the robots in use by their rank among these, whatever their class.
             x, y, z, yaw = starts[order[np.array([active.index(slot) for slot in slots])]].T
             height = origin_height(scene.arena, z, group.robot)
             tilt: Array = np.asarray(stance_of(group.robot).tilt, np.float32)

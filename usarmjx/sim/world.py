@@ -351,6 +351,7 @@ def compute_inputs(
         act.append((group.actadr, xp.where(parked[:, None], 0.0, driven.act)))
         wrenches.append((group.chassis, xp.where(parked[:, None], 0.0, driven.wrench)))
         if not (on_numpy() and state.active.all()):
+            # On NumPy a robot in use needs no row that pins nothing; traced, `active` has no value to ask.
             pinned += [(places, parked[:, None]) for places in (group.root_qposadr, group.qposadr)]
             pinned_dof += [(places, parked[:, None]) for places in (group.root_dofadr, group.dofadr)]
         refused = refused + driven.refused.sum().astype(xp.int32)

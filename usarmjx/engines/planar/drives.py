@@ -134,6 +134,7 @@ def wheel_kinematics(robot: RobotSpec) -> Wheels:
 def _sides(plan: KinematicTree, drive: SkidSteer) -> SideWheels:
     names = (*drive.left, *drive.right)
     spin = np.array([_joint(plan, name) for name in names])
+    # Part 0 is the chassis, so joint k moves part k + 1.
     across = plan.rest_pos[spin + 1, 1]
     left = len(drive.left)
     track = abs(float(across[:left].mean() - across[left:].mean()))
@@ -145,6 +146,7 @@ def _sides(plan: KinematicTree, drive: SkidSteer) -> SideWheels:
 
 def _rolling(plan: KinematicTree, wheels: tuple[Wheel, ...], radius: float) -> RollingWheels:
     return RollingWheels(
+        # Wheels of a description are in USARSim's axes, whose y points right.
         pos=np.array([(wheel.x, -wheel.y) for wheel in wheels]),
         spin=np.array([_joint(plan, wheel.joint) for wheel in wheels]),
         steer=np.array([_joint(plan, wheel.steer) if wheel.steer else -1 for wheel in wheels]),
@@ -236,12 +238,14 @@ def limited_lag(
     """
     lag = jnp.array([response.forward_lag, response.forward_lag, response.turn_lag])
     most = jnp.array([response.acceleration, response.acceleration, response.turn_acceleration])
+    # 1 - exp(-x) by expm1: for steps much shorter than the lag float32 would lose its digits.
     share = -jnp.expm1(-dt / jnp.maximum(lag, 1e-4))
     # Lateral acceleration = speed * yaw rate.
     sharpest = response.cornering / jnp.maximum(jnp.abs(before[..., 0]), MIN_CORNERING_SPEED)
     target = jnp.stack([target[..., 0], target[..., 1], jnp.clip(target[..., 2], -sharpest, sharpest)], -1)
     change = (target - before) * share
     if response.sides_apart:
+        # Yaw to the left is positive: it slows the left side and speeds up the right one.
         part = change / (most * dt * grip)
         left = jnp.clip(part[..., 0] - part[..., 2], -1.0, 1.0)
         right = jnp.clip(part[..., 0] + part[..., 2], -1.0, 1.0)

@@ -59,6 +59,7 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
     push = parts(wrench[robots.chassis])
     pull = plus([number / robots.mass for number in push[:3]], model.opt.gravity.tolist())
     fixed = _BodyConstants(parts(robots.centre), *map(matrix_rows, (robots.inertia, robots.inverse_inertia)))
+    # The small number: a quotient just above a whole number by rounding must not add a step.
     steps = max(round(dt / model.opt.timestep), math.ceil(dt / FLIGHT_STEP - 1e-6))
     step = partial(_step, fixed, pull, push[3:], dt / steps)
     now = _BodyMotion(*map(parts, (motion.pos, motion.quat, motion.linear, motion.angular)))
@@ -127,6 +128,7 @@ def resolve_stacking(robots: PlanarRobots, old: Footprints, after: Motion) -> tu
         return after, None
     new = robots.footprints(after)
     aside, later = _horizontal_overlap(old), _horizontal_overlap(new)
+    # Rows are the upper robots, columns the lower ones.
     sunk = old.high - old.low[:, None]
     higher = (old.low + old.high)[:, None] > old.low + old.high
     over = robots.flies[:, None] & higher & (sunk < aside)

@@ -269,6 +269,8 @@ def apply_separation(
     lever = (push.at[0] - one.x) * push.y - (push.at[1] - one.y) * push.x
     # Inertia of a plate over mass: (l^2 + w^2) / 12, here of half sides.
     spread = (one.length**2 + one.width**2) / 3
+    # A push off the middle turns the body as well: shift and turn together move the point of application by
+    # the push.
     size = jnp.where(moves, jnp.maximum(push.size, 0.0), 0.0) / (1.0 + lever**2 / spread)
     x, y, yaw = one.x + size * push.x, one.y + size * push.y, footprints.yaw + size * lever / spread
     return footprints._replace(outline=one._replace(x=x, y=y, cos=jnp.cos(yaw), sin=jnp.sin(yaw)), yaw=yaw)

@@ -43,6 +43,8 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         The state; forward speed, lateral speed and yaw rate of each robot (robots, 3).
     """
     twist = jnp.zeros((robots.count, 3))
+    # The index of a wheel without a motor is one past the end (`drives.RollingGroup`): it reads 0 here, and
+    # what it writes to act below is cut off.
     ctrl = jnp.append(inputs.ctrl, 0.0)
     for group in robots.rolling:
         wheels, answer = group.wheels, group.response
@@ -92,6 +94,7 @@ def integrate_twist(motion: Motion, twist: Array, dt: float) -> Motion:
     """Integrate the twists over a time step: an arc, by its chord."""
     w, x, y, z = motion.unit
     ahead, aside, turn = parts(twist)
+    # Rows x and y of the rotation matrix: up a slope the way on the plan is the shorter.
     velocity = jnp.stack(
         [
             (1 - 2 * (y * y + z * z)) * ahead + 2 * (x * y - w * z) * aside,
@@ -132,6 +135,7 @@ def apply_contacts(
     robots: PlanarRobots, before: Motion, after: Motion, kept: Footprints, touched: Array, dt: float
 ) -> Motion:
     """Apply the resolved poses: robots that touched something get their actual velocity."""
+    # Wrapped to half a turn each way: on the other side of +-pi the difference would be a whole turn.
     turn = kept.yaw - after.yaw
     turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
     x, y = parts(kept.pos - rotate_by_yaw(robots.offset, kept.yaw))
@@ -151,6 +155,7 @@ def ground_limits(robots: PlanarRobots, before: Motion) -> Array:
     w, x, y, z = before.unit
     limits: list[Array] = []
     for stance in _stances(robots):
+        # Third row of the rotation matrix: how far a foot is above the chassis's middle.
         down = 2 * (x * z - w * y) * stance[:, 0] + 2 * (y * z + w * x) * stance[:, 1]
         bottom = before.pos[:, 2] + down - (1 - 2 * (x * x + y * y)) * robots.clearance
         limits.append(bottom + robots.step)
@@ -180,6 +185,8 @@ def place_on_ground(robots: PlanarRobots, before: Motion, after: Motion, ground:
     """
     half, limit = STANCE * jnp.asarray(robots.half, jnp.float32), MAX_TILT
     height = ground.mean(0) + robots.clearance
+    # Feet are in the order of CORNER_SIGNS: 0 and 1 in front, 0 and 3 on the left. Sums of two over 4 half
+    # sides are means over the distance between them.
     rise = jnp.clip((ground[0] + ground[1] - ground[2] - ground[3]) / (4 * half[:, 0]), -limit, limit)
     lean = jnp.clip((ground[0] + ground[3] - ground[1] - ground[2]) / (4 * half[:, 1]), -limit, limit)
     old, upward = before.pos[:, 2], after.linear[:, 2]

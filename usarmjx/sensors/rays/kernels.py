@@ -114,6 +114,7 @@ def ray_capsule(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Return the distance to a capsule about z with radius `size[0]` and half length `size[1]`."""
     radius, half = size[0], size[1]
     hits = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
+    # Of each ball only the half beyond the tube is surface; inside the tube its crossings do not count.
     for end, low, high in ((half, half, xp.inf), (-half, -xp.inf, -half)):
         shifted = (origin[0], origin[1], origin[2] - end)
         for t in _ball(shifted, direction, radius):
@@ -125,6 +126,7 @@ def ray_ellipsoid(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Return the distance to an ellipsoid with radii `size`: a unit ball in scaled coordinates."""
     start = [o / s for o, s in zip(origin, size, strict=True)]
     along = [d / s for d, s in zip(direction, size, strict=True)]
+    # The scaled direction is no unit vector, so t stays the distance along the given one.
     stretch = _dot(along, along)
     middle = -_dot(start, along) / stretch
     foot = [s + middle * a for s, a in zip(start, along, strict=True)]  # as in `_ball`
@@ -201,6 +203,7 @@ def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
     if kind == GeomType.mjGEOM_CYLINDER:
         return middle, (size[0], size[0], size[1])
     if kind == TRIANGLE_KIND:
+        # Corners are (0, 0), (size[0], 0) and (size[1], size[2]), in the plane z = 0.
         low, high = xp.minimum(size[1], 0.0), xp.maximum(size[0], size[1])
         return ((low + high) / 2, size[2] / 2, zero), ((high - low) / 2, xp.abs(size[2]) / 2, zero)
     return middle, size

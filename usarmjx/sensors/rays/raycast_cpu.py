@@ -58,6 +58,7 @@ class _Bundles(NamedTuple):
 
 def pack(work: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
     """Return the packed geoms of a world, block by block (NUMBERS, geoms)."""
+    # Owners are small whole numbers, exact in float32: so they fit beside lengths in one array.
     blocks = [
         jnp.concatenate([b.pos.T, b.mat.reshape(-1, 9).T, b.size.T, jnp.asarray(b.owner)[None]])
         for _, b in work
@@ -90,6 +91,7 @@ def nearest_of_bundles(
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
     if not work or not count:
         return GeomHits(jnp.full(count, jnp.inf, jnp.float32), jnp.full(count, -1, jnp.int32))
+    # As few pieces as RAYS_AT_A_TIME allows, and all of one size: the last one is padded.
     lines, given, piece = None, rays, -(-count // -(-count // RAYS_AT_A_TIME))
     if isinstance(rays, Fans) and piece < count:
         given = rays.rays()
@@ -257,6 +259,7 @@ def _test_near(
     whose = np.repeat(np.arange(casts), number)
 
     def reaches(rank: jax.Array, found: GeomHits) -> jax.Array:
+        # With its last bits cleared the distance is rounded down: still a lower bound.
         entry = jax.lax.bitcast_convert_type(rank & ~low, jnp.float32)
         return ((rank < NO_RANK) & (entry <= _reduce_rows(jnp.maximum, found.distance))).any()
 

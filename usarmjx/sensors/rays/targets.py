@@ -203,6 +203,7 @@ def _cast_gradient(
 
     (pos, mat), (pos_rate, mat_rate) = placed(geoms), placed(rates[0])
     own = matvec(jnp.swapaxes(mat, -1, -2), normal)
+    # Implicit differentiation: normal . (point of the ray - point of the surface) stays 0 at the hit.
     rate = rates[1] + reach * rates[2] - pos_rate
     away = (normal * rate + matvec(mat_rate, own) * (origin + reach * direction - pos)).sum(-1)
     # Bounded: the gradient of a grazing hit diverges.

@@ -31,6 +31,7 @@ def _entered(before: jax.Array, row: jax.Array, enter: jax.Array) -> jax.Array:
 
 def _sweep(far: jax.Array, enter: jax.Array, axis: int, *, back: bool) -> jax.Array:
     """Return distances (i, j, maps) after one sweep along an axis."""
+    # Steps along a row are left out: the sweeps along the other axis make them.
     length = far.shape[axis]
 
     def row(values: jax.Array, i: Array | int) -> jax.Array:
@@ -69,6 +70,7 @@ def _of_all(start: jax.Array, enter: jax.Array, until: jax.Array) -> jax.Array:
     missing = -count % together
 
     def grouped(values: jax.Array) -> jax.Array:
+        # Padding repeats the last map, so that it needs no more turns than that one.
         whole = jnp.concatenate([values, jnp.broadcast_to(values[-1:], (missing, *values.shape[1:]))])
         return jnp.moveaxis(whole.reshape(-1, together, *values.shape[1:]), 1, -1)
 

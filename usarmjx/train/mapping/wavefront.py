@@ -107,6 +107,7 @@ def path_on_jax(far: Array, square: Array, steps: int) -> jax.Array:
     """As `shortest_path`, a step at a time for all maps."""
     moves = np.array(NEIGHBOURS, np.int32)
     costs = np.hypot(*moves.T).astype(np.float32)
+    # A frame instead of bounds: a neighbour beyond the edge is never the best one.
     padded = _framed(far, UNREACHABLE)
 
     def down(here: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
