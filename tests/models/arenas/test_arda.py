@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
+from tests.road_files import write_mdf, write_rndf
 from tests.scripts import load
 from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
@@ -25,7 +26,7 @@ from usarmjx.models.roads.network import (
     to_lat_lon,
     to_local_xy,
 )
-from usarmjx.models.roads.rndf import read_mdf, read_rndf, write_mdf, write_rndf
+from usarmjx.models.roads.rndf import read_mdf, read_rndf
 from usarmjx.models.roads.shapes import (
     KERB_WIDTH,
     LINE_WIDTH,

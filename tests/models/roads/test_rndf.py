@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.road_files import write_mdf, write_rndf
 from usarmjx.base.errors import SpecError
 from usarmjx.models.roads.network import (
     BOUNDARIES,
@@ -19,7 +20,7 @@ from usarmjx.models.roads.network import (
     mission_faults,
     network_faults,
 )
-from usarmjx.models.roads.rndf import read_mdf, read_rndf, write_mdf, write_rndf
+from usarmjx.models.roads.rndf import read_mdf, read_rndf
 from usarmjx.models.roads.shapes import road_shapes
 
 RNDF = """\
