@@ -5,9 +5,9 @@ command line reads this module for its help.
 """
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +22,9 @@ from usarmjx.cli.common import (
     read_size,
 )
 from usarmjx.cli.known_names import check_name, check_roster, complete_tasks
+
+if TYPE_CHECKING:
+    from usarmjx.models.compile.physics import Physics
 
 BASELINES = ("all", "cpu", "none")
 """Words for what is measured beside a case: both baselines, not bare MJX (which compiles), neither."""
@@ -187,7 +190,28 @@ class CameraCase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+class PhysicsOptions:
+    """What replaces settings of the physics that a case names."""
+
+    solver: Annotated[
+        str | None, typer.Option(help="Solver in place of that of --physics: CG, Newton, block (warp).")
+    ] = None
+    timestep: Annotated[
+        float | None, typer.Option(min=1e-4, help="Physics step in place of that of --physics [s].")
+    ] = None
+
+    def replaced(self, physics: "Physics") -> "Physics":
+        """Return the settings with the solver and the timestep of the case, as far as it has them.
+
+        Raises:
+            SpecError: No such solver.
+        """
+        given = {"solver": self.solver, "timestep": self.timestep}
+        return replace(physics, **{name: value for name, value in given.items() if value is not None})
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions(PhysicsOptions):
     """A scene and its engine.
 
     Without `substeps`, control steps take 50 ms.
@@ -215,12 +239,6 @@ class SceneOptions:
         str,
         typer.Option(help="Settings of the physics: reference, fast, sleeping (warp), coarse (planar)."),
     ] = "reference"
-    solver: Annotated[
-        str | None, typer.Option(help="Solver in place of that of --physics: CG, Newton, block (warp).")
-    ] = None
-    timestep: Annotated[
-        float | None, typer.Option(min=1e-4, help="Physics step in place of that of --physics [s].")
-    ] = None
     substeps: Annotated[
         int | None, typer.Option(min=1, help="Physics steps per control step; else those of 50 ms.")
     ] = None
@@ -443,7 +461,7 @@ class TrainCase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScorecardCase:
+class ScorecardCase(PhysicsOptions):
     """Manoeuvres of robots under two settings of the physics, or on two engines."""
 
     robot: Annotated[

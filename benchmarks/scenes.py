@@ -14,7 +14,7 @@ from benchmarks.cases import SceneCase, SceneOptions
 from usarmjx.base.arrays import Array
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, PhysicsState, choose_engine
-from usarmjx.models.compile.physics import PHYSICS, Physics
+from usarmjx.models.compile.physics import PHYSICS
 from usarmjx.models.generate import generate_many
 from usarmjx.models.generate.kinds import DEFAULT_STARTS
 from usarmjx.models.types.arena import ArenaSpec
@@ -219,13 +219,8 @@ def resolved(case: SceneOptions) -> dict[str, Any]:
         UnknownNameError: No such engine or physics.
     """
     engine = choose_engine(case.engine, "batch")
-    return {"engine": engine, "substeps": case.substeps or round(CONTROL_STEP / _physics_of(case).timestep)}
-
-
-def _physics_of(case: SceneOptions) -> Physics:
-    """Return the settings of a case's physics, but for the substeps."""
-    given = {"solver": case.solver, "timestep": case.timestep}
-    return replace(PHYSICS.get(case.physics), **{name: one for name, one in given.items() if one is not None})
+    timestep = case.replaced(PHYSICS.get(case.physics)).timestep
+    return {"engine": engine, "substeps": case.substeps or round(CONTROL_STEP / timestep)}
 
 
 def scene_of(case: SceneOptions) -> Scene:
@@ -235,7 +230,7 @@ def scene_of(case: SceneOptions) -> Scene:
         UsarmjxError: The roster or the arena cannot be built.
     """
     kept: dict[str, Any] = {"radio": RadioSettings()} if case.radio else {}
-    physics = replace(_physics_of(case), substeps=resolved(case)["substeps"])
+    physics = replace(case.replaced(PHYSICS.get(case.physics)), substeps=resolved(case)["substeps"])
     return build_scene(_arena(case), parse_roster(case.roster), physics, **kept)
 
 

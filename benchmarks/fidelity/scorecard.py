@@ -60,7 +60,7 @@ def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> 
     Raises:
         UnknownNameError: There is no such class, or no such settings.
     """
-    physics = PHYSICS.get(case.physics)
+    physics = case.replaced(PHYSICS.get(case.physics))
     classes = [ROBOTS.get(name).name for name in case.robot or ROBOTS.names()]
     header = record_header("physics", host=True, note=options.note)
     engine = choose_engine(case.engine, "batch")

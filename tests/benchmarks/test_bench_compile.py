@@ -80,12 +80,9 @@ def test_generated_arenas_grow_with_the_team():
 
 def test_another_solver_and_step_replace_those_of_the_physics():
     """A control step stays 50 ms."""
-    case = SceneCase(
-        roster="P2AT", arena="field", engine="c", physics="fast", solver="Newton", timestep=0.005
-    )
-    assert scene_of(case).physics == replace(
-        PHYSICS.get("fast"), solver="Newton", timestep=0.005, substeps=10
-    )
+    other = {"solver": "Newton", "timestep": 0.005}
+    case = SceneCase(roster="P2AT", arena="field", engine="c", physics="fast", **other)
+    assert scene_of(case).physics == replace(PHYSICS.get("fast"), **other, substeps=10)
 
 
 def test_the_memory_of_worlds_is_that_of_their_arrays(tmp_path):
