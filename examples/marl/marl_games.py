@@ -90,9 +90,15 @@ class Game:
             final_score=zero, bad=no,
         )  # fmt: skip
 
+    def _reward(self, close: jax.Array) -> jax.Array:
+        return close
+
+    def _points(self, reward: jax.Array) -> jax.Array:
+        return reward.mean(1)
+
     def _step(self, state: GameState, actions: tuple[jax.Array, ...]) -> GameState:
-        reward = 1.0 - (jnp.clip(actions[0][..., 0], -1.0, 1.0) - state.target) ** 2
-        length, total = state.length + 1, state.total + reward.mean(1)
+        reward = self._reward(1.0 - (jnp.clip(actions[0][..., 0], -1.0, 1.0) - state.target) ** 2)
+        length, total = state.length + 1, state.total + self._points(reward)
         done = length >= self.episode_steps
         key, own = jax.random.split(state.key)
         target = jnp.where(done[:, None], self._draw(own), state.target)
@@ -120,4 +126,27 @@ class Whisper(Game):
     name, own_targets, speakers = "whisper", False, 1
 
 
-GAMES: dict[str, Callable[..., Any]] = {one.name: one for one in (Game, Recall, Whisper)}
+class Duel(Game):
+    """Half of the agents plays against the other half: a team gains what it is closer than the other.
+
+    The score is that of the first half: 0 between equals, 0.64 against a team that does nothing.
+    """
+
+    name = "duel"
+
+    def __init__(self, worlds: int, agents: int = 4) -> None:
+        super().__init__(worlds, agents)
+
+    def _reward(self, close: jax.Array) -> jax.Array:
+        first, second = (close[:, half].mean(1, keepdims=True) for half in self._halves)
+        return jnp.concatenate([close[:, self._halves[0]] - second, close[:, self._halves[1]] - first], 1)
+
+    def _points(self, reward: jax.Array) -> jax.Array:
+        return reward[:, self._halves[0]].mean(1)
+
+    @property
+    def _halves(self) -> tuple[slice, slice]:
+        return slice(self.agents // 2), slice(self.agents // 2, None)
+
+
+GAMES: dict[str, Callable[..., Any]] = {one.name: one for one in (Game, Recall, Whisper, Duel)}

@@ -298,7 +298,7 @@ class Recorder:
             "steps_per_s": (agent_steps - before) / max(now - self._began, 1e-9),
             "episodes": episodes,
             "score": score / episodes if episodes else None,
-            **{f"loss/{name}": one for name, one in own.items()},
+            **{name if "/" in name else f"loss/{name}": one for name, one in own.items()},
         }
         self._began = now
         self.lines.append(line)

@@ -69,6 +69,41 @@ def test_an_algorithm_reaches_the_best_score_of_a_game(name, game, best, more):
     assert 0.9 * best < score(module, flags, params, env) <= best + 1e-6
 
 
+def test_a_league_gets_better_than_its_past_selves():
+    """In `duel` a team that does nothing loses to one that knows its targets by 0.64."""
+    more = {"snapshot_interval": 4, "pool": 3, "iterations": 60}
+    module, flags, params, lines = learn("league", "duel", **more)
+    assert lines[0]["league/rating"] == pytest.approx(1000.0, abs=9.0)
+    assert lines[-1]["league/rating"] > 1030.0
+    idle = jax.tree.map(jnp.zeros_like, params)
+    env, net = GAMES.Duel(WORLDS), module.policy_of(GAMES.Duel(WORLDS), flags, params)
+    still = module.policy_of(env, flags, idle)
+
+    def act(carry, obs, key):
+        mine, theirs = (one.act(carry, obs, key)[1][0] for one in (net, still))
+        return carry, (jnp.concatenate([mine[:, :2], theirs[:, 2:]], 1),)
+
+    found = play_episodes(env, _jitted(type(net)(net.initial_carry, act)), env.worlds)
+    assert found.scores.mean() > 0.55
+    with pytest.raises(SystemExit, match="match has 3 agents, expected two teams of equal size"):
+        module.train(module.LeagueFlags(task="match"), GAMES.Game(4))
+
+
+def test_ratings_are_those_of_elo():
+    """400 points are 10 to 1; a win against an equal gains half of the step, and takes as much."""
+    league = load("marl/league")
+    odds = league.expected(jnp.array([1000.0, 1400.0]), jnp.array(1000.0))
+    assert odds.tolist() == pytest.approx([0.5, 10 / 11])
+    ratings, won = jnp.array([1000.0, 1400.0]), (jnp.array([True, False]), jnp.ones(2), jnp.array([0, 1]))
+    mine, theirs = league.rated(jnp.float32(1000.0), ratings, won, 16.0)
+    assert float(mine) == pytest.approx(1008.0)
+    assert theirs.tolist() == pytest.approx([992.0, 1400.0])
+    both = jnp.ones(2, bool), jnp.array([1.0, 0.5]), jnp.array([0, 1])
+    mine, theirs = league.rated(jnp.float32(1000.0), ratings, both, 16.0)
+    assert float(mine) == pytest.approx(1000 + 16 * (0.5 + 0.5 - 1 / 11) / 2, rel=1e-6)
+    assert theirs.tolist() == pytest.approx([992.0, 1400 - 16 * (0.5 - 1 / 11)], rel=1e-6)
+
+
 def test_a_game_of_messages_is_solved_with_messages_only_and_by_teams_of_any_size(tmp_path):
     """Without messages two of three agents do at best 0.36, so the team 0.573; with them nearly 1.
 
