@@ -27,6 +27,7 @@ ALONE = 1e-4
 """Poses of a world alone and in a batch after 1 s [m]: XLA orders sums differently for other batch sizes, and
 a solver that is stopped early makes more of it, so these tests let it converge."""
 CONVERGED = Physics(iterations=30, ls_iterations=20)
+OTHER_ENGINES = ("jax", "warp", "planar")
 SECOND = 50  # control steps of 20 ms
 BLIND = replace(ROBOTS.get("P2AT"), sensors=(), cameras=())
 """A P2AT with nothing to see by, which compiles faster."""
@@ -297,7 +298,7 @@ def test_on_jax_a_wall_that_reaches_below_the_floor_takes_no_contacts_from_it():
 @pytest.mark.parametrize(
     ("xml", "engine", "named"),
     [
-        ('<geom size=".1" surfacevel="1 0 0 0 0 0"/>', "jax", "geom_surfacevel"),
+        *(('<geom size=".1" surfacevel="1 0 0 0 0 0"/>', name, "geom_surfacevel") for name in OTHER_ENGINES),
         ('<geom name="pipe" type="cylinder" size=".1 .1"/>', "jax", "pipe"),
     ],
 )

@@ -162,7 +162,7 @@ def test_the_others_move_by_no_bit_when_objects_come_and_go():
         (f"{CREATE} {{Name new}} {{Start Nowhere}}", "no start pose"),
         (f"{CREATE} {{Name new}} {{Location 4,1,-0.05}} {{Physics Falling}}", "no room for new at 4.00,1.00"),
         ("CONTROL {Type Kill} {Name crate}", "was created"),
-        ("CONTROL {Type Conveyor} {Name belt} {Speed 1}", "no CONTROL of type"),
+        ("CONTROL {Type Conveyor} {Name b} {Speed 1}", "no conveyor here is called 'b'; there are: none"),
     ],
 )
 def test_what_cannot_be_created_or_killed_changes_nothing(world, client, line, reason):

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from usarmjx.models.types.shapes import MATERIALS as MATERIALS
     from usarmjx.models.types.shapes import SKY as SKY
     from usarmjx.models.types.shapes import SURFACES as SURFACES
+    from usarmjx.models.types.shapes import Conveyor as Conveyor
     from usarmjx.models.types.shapes import HeightField as HeightField
     from usarmjx.models.types.shapes import Mesh as Mesh
     from usarmjx.models.types.shapes import Shape as Shape
@@ -113,6 +114,7 @@ else:
                 "MATERIALS",
                 "SKY",
                 "SURFACES",
+                "Conveyor",
                 "HeightField",
                 "Mesh",
                 "Shape",

@@ -175,6 +175,15 @@ class LoosePlaced:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ConveyorsSet:
+    """Speed set for the conveyors of a name, as a share of their own."""
+
+    step: int
+    name: str
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class WorldReset:
     """Restart of the world; the robots are at their spawn poses, or parked."""
 
@@ -224,6 +233,7 @@ Input = (
     | LooseAdded
     | LooseRemoved
     | LoosePlaced
+    | ConveyorsSet
     | WorldReset
     | OrdersGiven
     | Interrupted

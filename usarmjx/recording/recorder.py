@@ -18,6 +18,7 @@ from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording import foxglove
 from usarmjx.recording.file import ChannelName, RecordingFile
 from usarmjx.recording.inputs import (
+    ConveyorsSet,
     Input,
     Interrupted,
     LooseAdded,
@@ -262,6 +263,10 @@ class WorldRecorder:
     def placed_loose(self, number: int, pos: np.ndarray, quat: np.ndarray) -> None:
         """Record the pose set for a loose object."""
         self._put(LoosePlaced(step=self.steps, number=number, pos=pos, quat=quat))
+
+    def set_conveyors(self, name: str, share: float) -> None:
+        """Record the speed set for conveyors."""
+        self._put(ConveyorsSet(step=self.steps, name=name, share=share))
 
     def reset(self) -> None:
         """Record the restart of the world."""

@@ -13,6 +13,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.recording.inputs import (
     SINGLE,
+    ConveyorsSet,
     Input,
     Interrupted,
     LooseAdded,
@@ -95,8 +96,8 @@ class _ReplayedSingle:
                 update_robot_spec(world, given.slot, given.robot)
             case RobotPlaced():
                 world.move_robot(given.slot, _position(given.pos), given.quat)
-            case LooseAdded() | LooseRemoved() | LoosePlaced():
-                self._change_loose(given)
+            case LooseAdded() | LooseRemoved() | LoosePlaced() | ConveyorsSet():
+                self._change_things(given)
             case WorldReset():
                 world.reset()
             case OrdersGiven():
@@ -105,8 +106,10 @@ class _ReplayedSingle:
             case _:
                 pass  # inputs of batches
 
-    def _change_loose(self, given: LooseAdded | LooseRemoved | LoosePlaced) -> None:
+    def _change_things(self, given: LooseAdded | LooseRemoved | LoosePlaced | ConveyorsSet) -> None:
         match given:
+            case ConveyorsSet():
+                self._world.set_conveyors(given.share, given.name)
             case LooseAdded():
                 with suppress(UsageError):  # the recorded world had no room, either
                     self._world.add_loose(given.thing, held=given.held)

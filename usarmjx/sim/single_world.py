@@ -27,6 +27,7 @@ from usarmjx.engines.c.placement import MAX_PENETRATION, SEARCH_RADIUS, deepest_
 from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.engines.c.world import CWorld
 from usarmjx.models.compile.compose import (
+    ARENA_PREFIX,
     LOOSE_PREFIX,
     RobotIndex,
     add_loose,
@@ -294,6 +295,14 @@ class SingleWorld:
         self.engine.edit(lambda spec: remove_loose(spec, name), lambda spec: None, after)
         self._use_arena(after)
 
+    def set_conveyors(self, share: float, name: str | None = None) -> None:
+        """Set the velocity of the conveyors of a name (case ignored), or of all, as a share of their own."""
+        for i, shape in enumerate(self.scene.arena.shapes):
+            belt = shape.conveyor
+            if belt is not None and (name is None or belt.name.lower() == name.lower()):
+                x, y, z = belt.velocity
+                self.engine.move_surface(f"{ARENA_PREFIX}{i}", (share * x, share * y, share * z))
+
     def _use_arena(self, arena: ArenaSpec) -> None:
         """Resolve the present model, whose arena has other loose objects now."""
         roster, rows = self.roster, self._robot_states()
@@ -511,6 +520,7 @@ class SingleWorld:
         Robots get idle commands and full batteries. A robot whose start pose is taken is put next to it.
         """
         self.engine.reset_all(self._indices, self._homes)
+        self.set_conveyors(1.0)
         for thing, at in zip(self.scene.arena.loose, self.scene.loose_geoms.root_qposadr, strict=True):
             pose = self.engine.data.qpos[at]
             self.engine.hold(f"{LOOSE_PREFIX}{thing.name}", pose[:3], pose[3:])

@@ -131,6 +131,14 @@ class CWorld:
         self.data.qvel[index.root_dofadr : index.root_dofadr + 6] = 0.0
         mujoco.mj_kinematics(self.model, self.data)
 
+    def move_surface(self, name: str, velocity: Vec3) -> None:
+        """Set the velocity of the surface of a geom, in its own axes [m/s]."""
+        model = self.model
+        # The description, too: the next `edit` compiles it.
+        self._spec.geom(name).surfacevel[:3] = velocity  # type: ignore - not in the stubs
+        model.geom_surfacevel[model.geom(name).id, :3] = velocity
+        model.flg_surfacevel = bool(np.any(model.geom_surfacevel))  # type: ignore - not in the stubs
+
     def hold(self, name: str, pos: Array | Vec3, quat: Array) -> None:
         """Hold an object at another pose [m], if it is held."""
         weld = self._spec.equality(name)

@@ -243,8 +243,8 @@ def arena_set(arenas: Sequence[ArenaSpec], spare: float = 0.0) -> ArenaSet:
         spare: Share of additional slots, for later arenas: of boxes of each form, victims and tags.
 
     Raises:
-        SpecError: No arenas; an arena with doors, water or solids other than boxes, which cannot differ
-            between worlds; arenas with different floors; one without start poses.
+        SpecError: No arenas; an arena with doors, water, conveyors or solids other than boxes, which cannot
+            differ between worlds; arenas with different floors; one without start poses.
     """
     arenas = tuple(arenas)
     if not arenas:
@@ -310,6 +310,7 @@ def arena_index_of(number: Array, episode: Array, arenas: int) -> Array:
 
 def _check(arena: ArenaSpec, first: ArenaSpec) -> None:
     fixed = [name for name in ("doors", "waters") if getattr(arena, name)]
+    fixed += ["conveyors"] if any(shape.conveyor is not None for shape in arena.shapes) else []
     fixed += sorted({f"solids of kind {shape.kind}" for shape in arena.shapes if shape.kind != "box"})
     if fixed:
         raise SpecError(

@@ -44,6 +44,8 @@ REFERENCE_GEOMS = 7
 """Touching geoms of a P2AT, the reference of contacts_per_robot and pairs_per_robot."""
 LOOSE_CONTACTS = 5
 """Capacity of contact buffers per touching geom of a loose object: a resting box has four contacts."""
+CONTACT_FIELDS = ("friction", "priority", "contype", "conaffinity", "condim", "surfacevel")
+"""Fields of a geom that its contacts depend on."""
 Ids = tuple[int, ...]
 """Indices of a robot's items, in the order of `RobotIndex`."""
 
@@ -201,7 +203,7 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
             continue
         mat = np.zeros(9)
         mujoco.mju_quat2Mat(mat, geom.quat)
-        kept = ("type", "quat", "rgba", "friction", "priority", "contype", "conaffinity", "condim", "mass")
+        kept = ("type", "quat", "rgba", "mass", *CONTACT_FIELDS)
         shared = {name: getattr(geom, name) for name in kept}
         for piece in np.ndindex(*parts):
             offset = (2 * (np.array(piece) + 0.5) / parts - 1) * geom.size

@@ -76,6 +76,8 @@ def add_geom(
         conaffinity=surface.conaffinity,
         condim=3,
     )
+    if shape.conveyor is not None:
+        geom.surfacevel[:3] = shape.conveyor.velocity  # type: ignore - not in the stubs
     if shape.mesh is not None:
         _add_mesh(spec, name, shape.mesh)
         geom.meshname = name
@@ -94,6 +96,8 @@ def _check(name: str, shape: Shape) -> None:
         raise SpecError(f"{name}: {problem}")
     if shape.material == FENDER and shape.kind != "box":
         raise SpecError(f"{name}: a fender is a box, not a {shape.kind}")
+    if shape.conveyor is not None and shape.kind != "box":
+        raise SpecError(f"{name}: a conveyor is a box, not a {shape.kind}")
     for kind, data in (("mesh", shape.mesh), ("hfield", shape.heights)):
         if (shape.kind == kind) != (data is not None):
             raise SpecError(f"{name}: kind {shape.kind!r} and its data do not go together")

@@ -65,10 +65,12 @@ from usarmjx.models.types.arena import (
 from usarmjx.models.types.shapes import (
     FENDER,
     MATERIALS,
+    MAX_BELT_SPEED,
     OPAQUE,
     SURFACES,
     ZERO,
     BodyInertia,
+    Conveyor,
     HeightField,
     Mesh,
     Rgba,
@@ -116,6 +118,8 @@ MAX_OTHER_FILES = {
 def _shape(shape: Shape) -> str:
     if shape.material == FENDER and shape.kind != "box":
         return f"a fender is a box, not a {shape.kind}"
+    if shape.conveyor is not None and shape.kind != "box":
+        return f"a conveyor is a box, not a {shape.kind}"
     for kind, key, data in (("mesh", "mesh", shape.mesh), ("hfield", "heights", shape.heights)):
         if (shape.kind == kind) != (data is not None):
             return f"kind {kind} and the key {key!r} go together; this is a {shape.kind}"
@@ -126,11 +130,22 @@ def _shape(shape: Shape) -> str:
     return texture_problem(shape.texture)
 
 
+def _conveyor(belt: Conveyor) -> str:
+    if not is_name(belt.name):
+        return f"conveyor {belt.name!r}: a name is one word of ASCII without braces"
+    fastest = max(map(abs, belt.velocity))
+    if not fastest <= MAX_BELT_SPEED:
+        return f"conveyor {belt.name!r} runs at {fastest:g} m/s; at most {MAX_BELT_SPEED:g}"
+    return ""
+
+
 def _loose(loose: LooseObject) -> str:
     if loose.inertia is not None and (loose.inertia.mass <= 0 or not _is_inertia(loose.inertia)):
         return f"loose object {loose.name!r}: inertia is that of no body: {loose.inertia}"
     if loose.inertia is None and sum(shape.mass for shape in loose.shapes) <= 0:
         return f"loose object {loose.name!r} has no mass: give one of its shapes a mass [kg]"
+    if any(shape.conveyor is not None for shape in loose.shapes):
+        return f"loose object {loose.name!r} is a conveyor; those are fixed solids"
     if any(shape.kind == "hfield" for shape in loose.shapes):
         return f"loose object {loose.name!r} is a terrain; those stay where they are"
     return ""
@@ -195,6 +210,7 @@ def arena_problem(arena: ArenaSpec) -> str:
 
 ARENA_RULES: dict[type, Callable[[Any], str]] = {
     ArenaSpec: arena_problem,
+    Conveyor: _conveyor,
     Door: _door,
     FalseAlarm: _alarm,
     LooseObject: _loose,

@@ -144,6 +144,9 @@ class Tyre:
         )
 
 
+MAX_BELT_SPEED = 10.0
+"""Greatest speed of a conveyor along an axis [m/s]."""
+
 OPAQUE = "opaque"
 """Material that stops rays, the default."""
 GLASS = "glass"
@@ -193,6 +196,19 @@ class HeightField:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Conveyor:
+    """A moving surface, which carries what stands on it; engine `c` alone moves it.
+
+    Attributes:
+        name: Name under which a world controller sets its speed; several belts may share it.
+        velocity: Velocity of the surface in the axes of its solid [m/s].
+    """
+
+    name: str
+    velocity: Vec3
+
+
+@dataclass(frozen=True, kw_only=True)
 class Shape:
     """One solid, for contacts and for rays.
 
@@ -209,6 +225,7 @@ class Shape:
         heights: The terrain of kind hfield.
         rgba: Colour, for pictures.
         texture: Texture in pictures, for the arena's fixed solids; see `TEXTURES`.
+        conveyor: Motion of its surface, for an arena's fixed boxes.
     """
 
     kind: Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh", "hfield"]
@@ -223,6 +240,7 @@ class Shape:
     heights: HeightField | None = None
     rgba: Rgba = (0.7, 0.7, 0.7, 1.0)
     texture: str = ""
+    conveyor: Conveyor | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

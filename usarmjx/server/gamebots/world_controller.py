@@ -5,6 +5,7 @@
     CONTROL {Type AbsMove} {Name crate} {Location 1,2,-0.1} {Rotation 0,0,1.57}
     CONTROL {Type RelMove} {Name R1} {Location 0.5,0,0}
     CONTROL {Type Create} {ClassName WCCrate11401} {Name box} {Location 1,2,-0.1} {Physics RigidBody}
+    CONTROL {Type Conveyor} {Name Belt1} {Speed 0.5}
     CONTROL {Type Kill} {Name box}, CONTROL {Type KillAll} {MinPos 0,0,-1} {MaxPos 3,3,0}
 
 Names are those of loose objects of the arena, then of robots. Keys, axes and signs are WorldController.uc's;
@@ -20,6 +21,7 @@ from usarmjx.base.errors import PeerError
 from usarmjx.base.registry import is_name
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, quat_from_angles
+from usarmjx.models.types.shapes import MAX_BELT_SPEED
 from usarmjx.server.gamebots.object_paths import MOTION_COMMANDS
 from usarmjx.server.gamebots.spawning import names_of_robots, start_of
 from usarmjx.server.gamebots.world_objects import (
@@ -42,6 +44,7 @@ ARENA_OBJECT = CreatedObject("", is_permanent=True)
 """Entry of each object of the arena."""
 UNIT_SCALE: Vec3 = (1.0, 1.0, 1.0)
 _ORIGIN: Vec3 = (0.0, 0.0, 0.0)
+_TYPES = ("GetSTA", "AbsMove", "RelMove", "Create", "Kill", "KillAll", "Conveyor")
 
 
 class WorldController:
@@ -74,10 +77,12 @@ class WorldController:
                 self._kill(command.name)
             case "killall":
                 self._kill_all(command.corners)
+            case "conveyor":
+                self._set_conveyors(command)
             case kind if kind in MOTION_COMMANDS:
                 MOTION_COMMANDS[kind](self._world, self._index(command.name), command)
             case _:
-                known = "GetSTA, AbsMove, RelMove, Create, Kill, KillAll, SetWP, AddWP, ClearWP, Rotate"
+                known = ", ".join((*_TYPES, "SetWP, AddWP, ClearWP, Rotate"))
                 raise PeerError(f"no CONTROL of type {clip(command.type)}; known: {known}")
         return None
 
@@ -153,6 +158,21 @@ class WorldController:
         thing = make_object(command.class_name, command.name, place, angles, scale)
         world.add_loose(thing, held=command.physics.lower() not in FREE_PHYSICS)
         world.created[key] = CreatedObject(class_of(command.class_name), command.permanent)
+
+    def _set_conveyors(self, command: Control) -> None:
+        """Set the speed of all conveyors of a name, as a share of their own; below 0 they run backwards."""
+        name, share = command.name, command.share
+        belts = [shape.conveyor for shape in self._world.scene.arena.shapes if shape.conveyor is not None]
+        speeds = [max(map(abs, belt.velocity)) for belt in belts if belt.name.lower() == name.lower()]
+        if not speeds:
+            known = ", ".join(sorted({belt.name for belt in belts})) or "none"
+            raise PeerError(f"no conveyor here is called {clip(name)}; there are: {known}")
+        if share is None:
+            raise PeerError("Conveyor needs a Speed, as a share of the conveyor's own")
+        fastest = max(speeds) * abs(share)
+        if fastest > MAX_BELT_SPEED:
+            raise PeerError(f"{clip(name)} would run at {fastest:g} m/s; at most {MAX_BELT_SPEED:g}")
+        self._world.set_conveyors(name, share)
 
     def _kill(self, name: str) -> None:
         if name.lower() not in self._world.created:

@@ -314,6 +314,8 @@ def _control(message: Message) -> Command | Ignored:
         return Control(kind, name, path=_path(message))
     if kind.lower() == "rotate":
         return Control(kind, name, spin=_three(message, "Speed"))
+    if kind.lower() == "conveyor":
+        return Control(kind, name, share=_one(message, "Speed"))
     low, high = _vector(message.get("MinPos")), _vector(message.get("MaxPos"))
     return Control(
         *(kind, name, message.get("ClassName"), location, rotation),
@@ -337,15 +339,20 @@ def _three(message: Message, key: str) -> Vector | None:
     return _vector(text)
 
 
+def _one(message: Message, key: str) -> float | None:
+    """Return the number of a key that has three numbers in other commands; see `_three`."""
+    text = message.get(key)
+    if text and not is_number(text):
+        raise PeerError(f"{key} is {clip(text)}; expected a number")
+    return _number(text)
+
+
 def _path(message: Message) -> PathOptions:
     """Return waypoints and options.
 
     Raises:
         PeerError: The speed is not one number.
     """
-    speed = message.get("Speed")
-    if speed and not is_number(speed):
-        raise PeerError(f"Speed is {clip(speed)}; expected a number [m/s]")
     points = [_vector(text.strip()) for text in message.get("WP").split(";") if text.strip()]
     move, loop, align, reset = (
         to_bool(text) if text else None
@@ -353,7 +360,7 @@ def _path(message: Message) -> PathOptions:
     )
     return PathOptions(
         points=tuple(point for point in points if point is not None),
-        speed=_number(speed) or 0.0,
+        speed=_one(message, "Speed") or 0.0,
         time=_number(message.get("Time")) or 0.0,
         move=move,
         loop=loop,

@@ -315,8 +315,8 @@ class Control:
     """Control the world: CONTROL of the later versions, for a world controller (WorldController.uc).
 
     Attributes:
-        type: GetSTA, AbsMove, RelMove, Create, Kill, KillAll, SetWP, AddWP, ClearWP, Rotate, or anything
-            else as sent.
+        type: GetSTA, AbsMove, RelMove, Create, Kill, KillAll, SetWP, AddWP, ClearWP, Rotate, Conveyor, or
+            anything else as sent.
         name: Name of an object or a robot, "" when absent.
         class_name: Class of objects, "" when absent.
         location: Position or its change in the wire's frame [m], None when not given.
@@ -328,6 +328,7 @@ class Control:
         corners: Lower and upper corner of what KillAll clears, in the wire's frame [m]; None for all.
         spin: Changes of roll, pitch and yaw [rad/s], None when not given.
         path: Waypoints and how to move along them.
+        share: Speed of a conveyor as a share of its own, None when not given.
     """
 
     type: str
@@ -342,6 +343,7 @@ class Control:
     corners: tuple[Vector, Vector] | None = None
     spin: Vector | None = None
     path: PathOptions = PathOptions()
+    share: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

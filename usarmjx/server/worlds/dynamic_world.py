@@ -173,6 +173,12 @@ class DynamicWorld(ServedWorld):
         if self.recorder is not None:
             self.recorder.removed_loose(index)
 
+    def set_conveyors(self, name: str, share: float) -> None:
+        """Set the speed of the arena's conveyors of a name, as a share of their own."""
+        self._single.set_conveyors(share, name)
+        if self.recorder is not None:
+            self.recorder.set_conveyors(name, share)
+
     def step(self) -> None:
         """Advance by one control step; robots that diverge return to their spawn poses."""
         self.advance_objects()

@@ -442,6 +442,15 @@ class ServedWorld(ABC):
         name = self.scene.arena.loose[index].name
         raise UsageError(f"{name} stays: only a single world of engine c removes objects")
 
+    def set_conveyors(self, name: str, share: float) -> None:
+        """Set the speed of the arena's conveyors of a name, as a share of their own.
+
+        Raises:
+            UsageError: The world cannot do that.
+        """
+        del share
+        raise UsageError(f"{name} keeps its speed: only in a single world of engine c does it change")
+
     def door_angles(self) -> np.ndarray:
         """Return the angles of the arena's doors [rad] (doors,)."""
         return np.asarray(self.one_world()[1].qpos[self.scene.door_qpos])
