@@ -406,7 +406,8 @@ def _wrench(
             setpoint = setpoint * conditions.speed[..., None]
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
-    if isinstance(drive, YieldingSkidSteer):
+    # Without a command there is none: at rest that is a third of the time of all inputs.
+    if isinstance(drive, YieldingSkidSteer) and not (on_numpy() and not setpoint.any()):
         wrench = wrench + _tyre_wrench(plan, drive, setpoint, state)
     # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
     # Counts wrap around, so an idle 0 comes to lie ahead again: only the time of one righting counts.

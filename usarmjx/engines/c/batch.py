@@ -70,6 +70,8 @@ class MovedBody:
             tree.bvh_child[self._nodes] = self._children
             for depth, (nodes, _) in enumerate(self._levels):
                 tree.bvh_depth[self._nodes][nodes] = depth
+            with numpy_backend():
+                self._frame = np.asarray(mat_from_quat(model.body_iquat[body]))
             self._write_tree(model, self._bounding_tree(model, 0))
 
     def move(
@@ -95,14 +97,14 @@ class MovedBody:
         known, movable = self._worlds.get(world), self._geoms[self._movable]
         places = np.hstack([model.geom_pos[movable], model.geom_quat[movable], model.geom_aabb[movable, 3:]])
         if known is None:
-            leaves = _bounding_boxes(model, self._geoms)
+            leaves = _bounding_boxes(model, self._geoms, self._frame)
             order = self._leaf_order(leaves)
         else:
             changed = self._movable[(known.places != places).any(axis=1)]
             if not len(changed):
                 return known
             leaves, order = known.leaves.copy(), known.order
-            leaves[changed] = _bounding_boxes(model, self._geoms[changed])
+            leaves[changed] = _bounding_boxes(model, self._geoms[changed], self._frame)
             if len(changed) > REBUILD_FRACTION * len(leaves):
                 order = self._leaf_order(leaves)
         self._worlds[world] = BoundingTree(places, leaves, order, self._node_boxes(leaves[order]))
@@ -170,11 +172,17 @@ def _tree_topology(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.nd
     return children, levels, leaf
 
 
-def _bounding_boxes(model: mujoco.MjModel, geoms: np.ndarray) -> np.ndarray:
-    """Return centres and half sizes of bounding boxes of geoms, in their body's inertial frame (geoms, 6)."""
+def _bounding_boxes(model: mujoco.MjModel, geoms: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return centres and half sizes of bounding boxes of geoms, in their body's inertial frame (geoms, 6).
+
+    Args:
+        model: The model.
+        geoms: The geoms, all of one body.
+        frame: Orientation of that frame (3, 3).
+    """
     body, own = model.geom_bodyid[geoms[0]], model.geom_aabb[geoms]
     with numpy_backend():
-        frame, mat = mat_from_quat(model.body_iquat[body]), mat_from_quat(model.geom_quat[geoms])
+        mat = mat_from_quat(model.geom_quat[geoms])
     mat = frame.T @ mat
     mid = (model.geom_pos[geoms] - model.body_ipos[body]) @ frame + np.einsum("nij,nj->ni", mat, own[:, :3])
     return np.hstack([mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])])
