@@ -174,10 +174,10 @@ GOAL_TASKS = ["explore-v3", "victim-search-v3", "relay-chain-v3"]
 
 
 def test_the_suite_of_teams_that_choose_goals_has_all_sizes_and_radios():
-    """Three tasks, teams of 2, 4, 8, three cutoffs; buildings of three sizes, as many of each."""
+    """Three tasks, teams of 2, 4, 8, 16, three cutoffs; buildings of three sizes, as many of each."""
     spec = load_suite(find_suite("teams-v3")).spec("test", "mine", ["baseline"])
     cells = [(one["task"], one["roster"]["P2AT"], one["radio.cutoff"]) for one in spec.cells]
-    assert sorted(cells) == sorted(product(GOAL_TASKS, (2, 4, 8), (-43, -49, -1e6)))
+    assert sorted(cells) == sorted(product(GOAL_TASKS, (2, 4, 8, 16), (-43, -49, -1e6)))
     found = resolve(spec.cells[0])
     sizes = Counter(label.rpartition("-")[0] for label in found.labels)
     assert (found.task.count, found.levels, set(sizes.values())) == (2, 9, {15})
