@@ -92,6 +92,7 @@ TOLD = [  # the manual's line, and what is heard instead
             " {MaxTorque 20.00} {MinValue 1.00} {MaxValue 0.00}"
         ],
     ),
+    ("SEN {Time 1.0000} {Type Battery} {Name battery} {Time 1199.0000}", []),  # Battery.uc, ClientTimer
     ("STA {Type GroundVehicle} {Time 1.00}", ["STA {Type GroundVehicle} {Time 1.00}"]),
     ("SEN {Type Odometry} {Name O} {Pose 1,2,3}", ["SEN {Type Odometry} {Name O} {Pose 1,2,3}"]),
     ("CONF {Type Sonar} {Name F1} {MaxRange 5}", ["CONF {Type Sonar} {Name F1} {MaxRange 5}"]),

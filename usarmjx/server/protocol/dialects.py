@@ -30,7 +30,7 @@ PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
 """Type of mission packages in the manual and in UDK's version."""
 LATER_TYPES = {"AHRS": "IMU"}
 """Types of sensors with another name in UDK's version, where our IMU is none."""
-ENCODER_TYPE = "Encoder"
+ENCODER_TYPE, BATTERY_TYPE = "Encoder", "Battery"
 GROUPED_TYPES = ("Sonar", "IR", "Touch", ENCODER_TYPE)
 """Sensor types that share one line in the manual's version."""
 LATER_CLASSES = {"p3at": "P2AT"}
@@ -117,6 +117,8 @@ def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]
         yield replace(message, segments=tuple(_named(message.segments, robot_class)))
     elif message.kind == "CONF" and message.get("Type").lower() == GRIPPER_TYPE.lower():
         yield Message(message.kind, tuple(_binary(message)))
+    elif message.kind == "SEN" and message.get("Type") == BATTERY_TYPE:
+        return  # Battery.uc sends nothing: the time is in STA
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
         yield from _one_by_one(message)
     elif message.kind == "SEN":
