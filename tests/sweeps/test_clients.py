@@ -1,6 +1,7 @@
 """A cell whose robot a client drives over TCP."""
 
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,6 +10,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.sweeps.clients import play_client
 from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.spec import read_spec
+from usarmjx.train.tasks import TASKS
 
 AHEAD = 30
 """With this seed the goal is 2.5 m away and 25 degrees beside the robot's nose."""
@@ -43,3 +45,9 @@ def test_a_client_drives_and_its_episodes_are_scored(tmp_path):
     gone = client_cell(f"{sys.executable} -c 'raise SystemExit(3)'")
     with pytest.raises(UsageError, match="the client of episode 0 ended too early, with 3"):
         play_client(gone, gone.driver, "c")
+
+
+def test_tasks_whose_score_counts_mail_are_refused():
+    cell = SimpleNamespace(task=TASKS.get("explore-v3"), settings={"task": "explore-v3"})
+    with pytest.raises(UsageError, match="robots send no mail, which the score of explore-v3 counts"):
+        play_client(cell, SimpleNamespace(), "c")

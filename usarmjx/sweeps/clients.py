@@ -33,6 +33,7 @@ from usarmjx.sweeps.workers import children, end_with_this_process
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, TaskView
 from usarmjx.train.make import build_env
+from usarmjx.train.tasks import GoalTeam
 
 HOST = "127.0.0.1"
 PATIENCE = 60.0
@@ -95,8 +96,14 @@ def play_client(cell: Resolved, driver: CellDriver, engine: str) -> CellEpisodes
         engine: The physics engine.
 
     Raises:
-        UsageError: A client does not come, or goes before its episode is over.
+        UsageError: A client does not come, or goes before its episode is over; the task's score counts mail,
+            which clients' robots do not send.
     """
+    if isinstance(cell.task, GoalTeam):
+        raise UsageError(
+            f"a client's robots send no mail, which the score of {cell.settings['task']} counts; "
+            "benchmarks/team_over_tcp.py plays it"
+        )
     begun, seed = time.perf_counter(), int(cell.settings["seed"])
     task = cell.task if cell.arenas is None else replace(cell.task, arena=cell.arenas)
     env = build_env(task, cell.episodes, name=cell.settings["task"], engine=engine, seed=seed)
