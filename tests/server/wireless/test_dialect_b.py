@@ -443,6 +443,8 @@ def test_obstacles_between_robots_and_between_places():
         b"GETOBS",
         b"GETOBS {From R1}",
         b"GETOBS {Start 0,1} {End 0,0,0}",
+        b"GETOBS {Start a,b,c} {End 0,0,0}",
+        b"GETOBS {Start 0,1,2x} {End 0,0,0}",
         b"GETOBS {Start nan,0,0} {End 0,0,0}",
     ],
 )

@@ -11,6 +11,8 @@ not answered, as in the original.
 """  # noqa: E501 - an answer is one line
 
 from usarmjx.base.errors import PeerError
+from usarmjx.base.settings import Parameters
+from usarmjx.server.protocol.arguments import read_parameters
 from usarmjx.server.protocol.frames import flip_wire_vector
 from usarmjx.server.protocol.grammar import (
     LineBuffer,
@@ -18,13 +20,13 @@ from usarmjx.server.protocol.grammar import (
     format_message,
     four_decimals_list,
     parse_message,
-    to_vector,
     two_decimals,
 )
 from usarmjx.server.wireless.channel import RadioAccess
 
 MAX_LINE_SIZE = 1024
 """Longest line accepted [bytes]."""
+_POSITION = Parameters(3, 3)
 
 
 def positions(radio: RadioAccess) -> Message:
@@ -49,9 +51,7 @@ def obstacles(radio: RadioAccess, message: Message) -> Message:
         count = radio.obstacles(*(message.get(key) for key in robots))
         keys = robots
     elif all(message.get(key) for key in points):
-        ends = [to_vector(message.get(key)) for key in points]
-        if any(len(end) != 3 for end in ends):
-            raise PeerError("a position has three numbers")
+        ends = [read_parameters(message.get(key), _POSITION) for key in points]
         count = radio.obstacles_between(*(flip_wire_vector(end) for end in ends))
         keys = points
     else:
