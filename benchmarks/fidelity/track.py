@@ -13,7 +13,7 @@ from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.drives import Blimp, RotaryWing, Underwater
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.standard import Gripper
-from usarmjx.models.robots.track_kit import FLIPPERS
+from usarmjx.models.robots.kit import FLIPPERS
 from usarmjx.models.types.arena import ArenaSpec, LooseObject, StartPose, Water
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import Shape

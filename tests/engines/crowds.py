@@ -7,10 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import SolidPlacement
 from usarmjx.engines.planar.neighbor_lists import NeighborList
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.engines.planar.proposed_motion import ProposedMotion
+from usarmjx.engines.planar.proposed_motion import ProposedMotion, SolidPlacement
 from usarmjx.engines.planar.solids import FAR_AWAY, PlanSolids, pack_solids
 
 SOLIDS = 8

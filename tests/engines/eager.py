@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.engines.planar.movable import SolidPlacement
 from usarmjx.engines.planar.neighbor_lists import Margin, build_neighbor_list
+from usarmjx.engines.planar.proposed_motion import SolidPlacement
 from usarmjx.engines.planar.responses import Response, override_response
 from usarmjx.models.robots import ROBOTS
 

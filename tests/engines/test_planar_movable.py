@@ -10,8 +10,8 @@ import pytest
 from tests.engines.eager import EAGER
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import MovableSolids
 from usarmjx.engines.planar.neighbor_lists import LIST_LENGTH
+from usarmjx.engines.planar.proposed_motion import MovableSolids
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec, SegmentMotion, StartPose, Victim
 from usarmjx.models.types.shapes import Shape

@@ -17,7 +17,6 @@ from usarmjx.engines.planar import engine, neighbor_search
 from usarmjx.engines.planar import engine as planar
 from usarmjx.engines.planar.bodies import fixed_bodies
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import SolidPlacement, movable_solids
 from usarmjx.engines.planar.neighbor_lists import LIST_LENGTH, list_poses, max_displacement
 from usarmjx.engines.planar.neighbor_search import (
     SceneSolids,
@@ -28,7 +27,7 @@ from usarmjx.engines.planar.neighbor_search import (
     update_neighbors_on_jax,
     update_neighbors_on_warp,
 )
-from usarmjx.engines.planar.proposed_motion import ProposedMotion
+from usarmjx.engines.planar.proposed_motion import ProposedMotion, SolidPlacement, movable_solids
 from usarmjx.engines.planar.solids import SolidGeoms, project_geoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec, StartPose

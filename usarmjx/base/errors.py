@@ -108,7 +108,7 @@ class extra:
     """
 
     def __init__(self, name: str) -> None:
-        from usarmjx.base.import_notes import without_notes  # `import usarmjx` needs none
+        from usarmjx.base.installation import without_notes  # `import usarmjx` needs none
 
         self._name, self._quiet = name, without_notes()
 

@@ -1,6 +1,6 @@
 """MJX, imported without its notes on the standard output that Warp is missing."""
 
-from usarmjx.base.import_notes import without_notes
+from usarmjx.base.installation import without_notes
 
 __all__ = ["collision_driver", "mjx"]
 

@@ -20,8 +20,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.settings.json_file import as_mapping, read_json
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.arenas.elements import CELL
 from usarmjx.models.arenas.lanes import MobilityLane, lane_of
+from usarmjx.models.arenas.pieces import CELL
 from usarmjx.models.check import VICTIM_REACH, in_water
 from usarmjx.models.compile.reachability import (
     DEFAULT_CELL_SIZE,
@@ -30,7 +30,7 @@ from usarmjx.models.compile.reachability import (
     reach_map,
     shapes_in_arena,
 )
-from usarmjx.models.drives.steering import drive_values
+from usarmjx.models.drives.base import drive_values
 from usarmjx.models.generate.obstacles import CROSSINGS_FILE, OBSTACLES, SuccessCurve, obstacle_height
 from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, Victim

@@ -9,7 +9,7 @@ from functools import partial
 import viser
 
 from usarmjx.models.compile.parts import part_name, parts_of
-from usarmjx.models.drives.steering import can_climb, drive_values
+from usarmjx.models.drives.base import can_climb, drive_values
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Part, RobotSpec

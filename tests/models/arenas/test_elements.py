@@ -12,28 +12,20 @@ from tests.rig import Rig
 from tests.terrain import arena_of, heights, loose_qpos, loose_speeds
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.arenas.elements import (
+from usarmjx.models.arenas.pieces import (
     CELL,
+    CINDER_SIZE,
+    PIPE_DIAMETER,
     POST,
     RISE,
     STEEP,
     STEEPER,
     STEP_FIELDS,
-    cover_boxes,
-    deck,
-    ramp,
-    ramps,
-    slope,
-    stairs,
-    step_field,
-)
-from usarmjx.models.arenas.elements import heights as posts_of
-from usarmjx.models.arenas.pieces import (
-    CINDER_SIZE,
-    PIPE_DIAMETER,
     STEP_PIPE_DIAMETER,
     brick,
     cinder_block,
+    cover_boxes,
+    deck,
     loose_board,
     loose_cinder_block,
     loose_pipe,
@@ -42,9 +34,15 @@ from usarmjx.models.arenas.pieces import (
     pipe,
     pipe_steps,
     plank,
+    ramp,
+    ramps,
     rubble,
     slab,
+    slope,
+    stairs,
+    step_field,
 )
+from usarmjx.models.arenas.pieces import heights as posts_of
 
 ATOL = 1e-9  # m: rays in double precision
 SINK = 1e-3  # m: how deep MuJoCo's soft contacts let things sink

@@ -8,10 +8,9 @@ import pytest
 from tests.sensors.cameras.test_qr_signs import SIDE, text_of
 from tests.viewpoints import viewpoint_at
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.arenas.elements import CELL, WOOD
 from usarmjx.models.arenas.lanes import LANES
 from usarmjx.models.arenas.league_hall import wall_sign
-from usarmjx.models.arenas.pieces import BARE, finished
+from usarmjx.models.arenas.pieces import BARE, CELL, WOOD, finished
 from usarmjx.models.arenas.yellow import YELLOW_2025
 from usarmjx.models.types.shapes import GLASS, Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

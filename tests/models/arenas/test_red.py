@@ -12,7 +12,7 @@ from tests.rig import Rig
 from tests.terrain import deepest, follow, heights, loose_qpos, loose_speeds, on_starts, roots
 from usarmjx.base.transforms import flip_vector
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.arenas.elements import POST, STEP_FIELDS
+from usarmjx.models.arenas.pieces import POST, STEP_FIELDS
 from usarmjx.models.arenas.red import LANE, PLANE_X, PLANE_Y, PLATFORM, RED, cell
 from usarmjx.models.check import check_arena
 from usarmjx.models.compile.victims import victim_table

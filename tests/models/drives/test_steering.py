@@ -5,7 +5,7 @@ import pytest
 
 from tests.arenas import FLAT
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.models.drives.steering import can_climb, drive_values
+from usarmjx.models.drives.base import can_climb, drive_values
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate

@@ -18,8 +18,7 @@ from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.visuals import Solids, solid_extents
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.robots.kit import block, hull
-from usarmjx.models.robots.track_kit import Belt
+from usarmjx.models.robots.kit import Belt, block, hull
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import Part, RobotSpec
 from usarmjx.models.types.shapes import GLASS

@@ -14,8 +14,8 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import SolidPlacement
 from usarmjx.engines.planar.overlap import Outlines
+from usarmjx.engines.planar.proposed_motion import SolidPlacement
 from usarmjx.engines.planar.solids import FAR_AWAY, PlanSolids, pack_solids, top_heights, unpack_solids
 
 LIST_LENGTH = 8

@@ -15,7 +15,6 @@ from usarmjx.base.warp_functions import warp_function, warp_in_use
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.bodies import FixedBodies
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import MovableSolids, movable_solids
 from usarmjx.engines.planar.neighbor_lists import (
     NeighborList,
     build_neighbor_list,
@@ -23,7 +22,7 @@ from usarmjx.engines.planar.neighbor_lists import (
     list_poses,
     max_displacement,
 )
-from usarmjx.engines.planar.proposed_motion import ProposedMotion, pack_motion
+from usarmjx.engines.planar.proposed_motion import MovableSolids, ProposedMotion, movable_solids, pack_motion
 from usarmjx.engines.planar.rolling import foot_positions
 from usarmjx.engines.planar.solids import (
     PlanSolids,

@@ -2,8 +2,8 @@
 
 A block of threads handles one world: it finds the robots whose lists are invalid, and only if there are any
 computes the movable solids; then its warps handle some of those robots each, its lanes some solids. On a CPU,
-in tests, the first thread handles the whole world. The steps are those of `neighbor_lists`, `movable` and
-`solids`, except that robots with valid lists keep them.
+in tests, the first thread handles the whole world. The steps are those of `neighbor_lists`, `proposed_motion`
+and `solids`, except that robots with valid lists keep them.
 """
 
 from functools import cache

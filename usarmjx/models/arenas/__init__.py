@@ -1,7 +1,7 @@
 """The packaged arenas, one module each; `ARENAS` finds them by name or alias.
 
-Every public `ArenaSpec` of a module here is registered: a new arena is one file. `elements`, `pieces`
-and `league_hall` have the parts that several of them share; `lanes` has single elements between
+Every public `ArenaSpec` of a module here is registered: a new arena is one file. `pieces` and
+`league_hall` have the parts that several of them share; `lanes` has single elements between
 walls. Begin with `yellow`. Arenas are benchmarks: moving a wall changes results that others have measured,
 and the tests of each arena list its required features (slopes, ways, hidden victims).
 """

@@ -21,7 +21,6 @@ height of test programs there (1.8, z down) is just above it here too.
 
 import math
 
-from usarmjx.models.arenas.elements import WOOD, block, slope
 from usarmjx.models.arenas.pieces import (
     BARE,
     CONCRETE,
@@ -29,10 +28,13 @@ from usarmjx.models.arenas.pieces import (
     PANE,
     SILVER,
     STEEL,
+    WOOD,
+    block,
     brick,
     drum,
     finished,
     loose_box,
+    slope,
     span,
     table,
     waving,

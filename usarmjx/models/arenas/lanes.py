@@ -12,26 +12,24 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from usarmjx.base.registry import Registry
-from usarmjx.models.arenas.elements import (
+from usarmjx.models.arenas.pieces import (
+    BARE,
     CELL,
+    OCTAGON_APOTHEM,
     POST,
     RISE,
     STEEP,
+    STEP_PIPE_DIAMETER,
     block,
     deck,
-    ramps,
-    slope,
-    stairs,
-    step_field,
-)
-from usarmjx.models.arenas.pieces import (
-    BARE,
-    OCTAGON_APOTHEM,
-    STEP_PIPE_DIAMETER,
     finished,
     pipe,
     pipe_steps,
+    ramps,
+    slope,
     span,
+    stairs,
+    step_field,
 )
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Position2D, Shape

@@ -9,8 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from usarmjx.models.arenas.elements import CELL, WOOD, block, cell_center, deck, step_field
-from usarmjx.models.arenas.pieces import WALL_RGBA, span
+from usarmjx.models.arenas.pieces import CELL, WALL_RGBA, WOOD, block, cell_center, deck, span, step_field
 from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.types.arena import START_ELEVATION, HelpSound, Light, StartPose, Victim
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape

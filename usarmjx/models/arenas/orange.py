@@ -14,8 +14,13 @@ of 35 degrees to a deck (E2804) and an inclined plane of 30 degrees down (E2803)
 import math
 from functools import partial
 
-from usarmjx.models.arenas.elements import (
+from usarmjx.models.arenas.lanes import hurdle
+from usarmjx.models.arenas.league_hall import Hall
+from usarmjx.models.arenas.pieces import (
+    BRICKED,
     CELL,
+    PANE,
+    PANELLED,
     POST,
     RAMP_ANGLE,
     RISE,
@@ -23,21 +28,10 @@ from usarmjx.models.arenas.elements import (
     STEEPER,
     WOOD,
     block,
-    cell_center,
-    deck,
-    ramps,
-    slope,
-    stairs,
-    step_field,
-)
-from usarmjx.models.arenas.lanes import hurdle
-from usarmjx.models.arenas.league_hall import Hall
-from usarmjx.models.arenas.pieces import (
-    BRICKED,
-    PANE,
-    PANELLED,
     brick,
+    cell_center,
     cinder_block,
+    deck,
     finished,
     loose_board,
     loose_cinder_block,
@@ -47,7 +41,11 @@ from usarmjx.models.arenas.pieces import (
     pipe,
     pipe_steps,
     plank,
+    ramps,
+    slope,
     span,
+    stairs,
+    step_field,
     walls,
     waving,
 )

@@ -17,8 +17,18 @@ import math
 
 import numpy as np
 
-from usarmjx.models.arenas.elements import WOOD, block, slope
-from usarmjx.models.arenas.pieces import BARE, CONCRETE, brick, finished, loose_box, span, waving
+from usarmjx.models.arenas.pieces import (
+    BARE,
+    CONCRETE,
+    WOOD,
+    block,
+    brick,
+    finished,
+    loose_box,
+    slope,
+    span,
+    waving,
+)
 from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.types.arena import (
     START_ELEVATION,

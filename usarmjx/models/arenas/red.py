@@ -15,24 +15,18 @@ ramps under a low ceiling (E2827). `lanes` lists the chosen measures; the order 
 import math
 from functools import partial
 
-from usarmjx.models.arenas.elements import (
-    CELL,
-    POST,
-    RISE,
-    cell_center,
-    deck,
-    ramps,
-    slope,
-    stairs,
-    step_field,
-)
 from usarmjx.models.arenas.lanes import hurdle
 from usarmjx.models.arenas.league_hall import Hall, ceiling
 from usarmjx.models.arenas.pieces import (
     CAST,
+    CELL,
     PANELLED,
+    POST,
+    RISE,
     brick,
+    cell_center,
     cinder_block,
+    deck,
     finished,
     loose_board,
     loose_cinder_block,
@@ -40,8 +34,12 @@ from usarmjx.models.arenas.pieces import (
     pipe,
     pipe_steps,
     plank,
+    ramps,
     rubble,
     slab,
+    slope,
+    stairs,
+    step_field,
     walls,
     waving,
 )

@@ -12,7 +12,7 @@ sphere, and the robots' hulls cover their wheels. It rolls without resistance un
 
 import math
 
-from usarmjx.models.arenas.elements import block
+from usarmjx.models.arenas.pieces import block
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, Light, LooseObject, StartPose
 from usarmjx.models.types.shapes import Rgba, Shape
 

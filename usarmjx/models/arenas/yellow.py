@@ -17,16 +17,22 @@ those of the older arena; positions of contents are ours.
 import math
 from functools import partial
 
-from usarmjx.models.arenas.elements import CELL, RAMP_ANGLE, WOOD, block, cell_center, ramp, slope
 from usarmjx.models.arenas.league_hall import victim_box, wall_sign
 from usarmjx.models.arenas.pieces import (
+    CELL,
     MESHWORK,
     PANE,
     PANELLED,
+    RAMP_ANGLE,
     SILVER,
+    WOOD,
+    block,
     brick,
+    cell_center,
     finished,
     loose_box,
+    ramp,
+    slope,
     span,
     walls,
     waving,

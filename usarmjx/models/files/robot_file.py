@@ -14,7 +14,6 @@ from usarmjx.base.registry import is_name
 from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.compile.kinematic_tree import chassis_heights, with_measurements
 from usarmjx.models.drives import Ackermann, Drive, SkidSteer
-from usarmjx.models.files.body_tree import BodyTree
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
 from usarmjx.models.files.reader_process import expand_xacro, try_model
@@ -22,6 +21,7 @@ from usarmjx.models.files.resources import Resources, mesh_pieces
 from usarmjx.models.files.robot_drive import (
     DEFAULT_SPIN,
     MIN_ROTORS,
+    BodyTree,
     borne_inertias,
     find_drive,
     rolling_parts,

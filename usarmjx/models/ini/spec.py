@@ -33,7 +33,7 @@ from usarmjx.models.ini.parse import (
     number_of,
     reject_unknown,
 )
-from usarmjx.models.robots.track_kit import mass_of
+from usarmjx.models.robots.kit import mass_of
 from usarmjx.models.types.robot import CHASSIS, STEER_SUFFIX, MissionPackage, Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape
 

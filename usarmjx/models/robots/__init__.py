@@ -1,8 +1,8 @@
 """The robot classes that INIT can spawn, each a value; `ROBOTS` finds them by name.
 
 Numbers are the manual's, a data sheet's or chosen, as `sources` states; derived ones are computed. Every
-public `RobotSpec` of a module here is registered: a new robot is one file. `kit` and `track_kit`
-have the parts that many robots share. Begin with `pioneer`. Tests hold the numbers that GETGEO or GETCONF
+public `RobotSpec` of a module here is registered: a new robot is one file. `kit` has the
+parts that many robots share. Begin with `pioneer`. Tests hold the numbers that GETGEO or GETCONF
 report to the manual: change one only with a source.
 """
 

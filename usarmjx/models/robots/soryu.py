@@ -3,8 +3,23 @@
 from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.robots.kit import BLACK, DARK, POSE_SENSORS, STEEL, ball, block, camera, drum, lens, rod
-from usarmjx.models.robots.track_kit import Belt, drive_tracks, mass_of, track, track_names
+from usarmjx.models.robots.kit import (
+    BLACK,
+    DARK,
+    POSE_SENSORS,
+    STEEL,
+    Belt,
+    ball,
+    block,
+    camera,
+    drive_tracks,
+    drum,
+    lens,
+    mass_of,
+    rod,
+    track,
+    track_names,
+)
 from usarmjx.models.types.robot import CHASSIS, LEFT, UP, Motor, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape
 

@@ -32,11 +32,10 @@ from usarmjx.server.ros2.transport import (
 from usarmjx.server.ros2.worker import Outlet, TransportCounts, TransportWorker
 from usarmjx.server.rosbridge.definitions import EMPTY, RosMessage, RosVersion
 from usarmjx.server.rosbridge.encodings import CdrReader
-from usarmjx.server.rosbridge.images import image_view, picture_message
 from usarmjx.server.rosbridge.motion import MAP
 from usarmjx.server.rosbridge.robot_description import urdf
 from usarmjx.server.rosbridge.services import RosRobots, read_spawn
-from usarmjx.server.rosbridge.topics import TWIST, RosTopic, WorldTopics
+from usarmjx.server.rosbridge.topics import TWIST, RosTopic, WorldTopics, image_view, picture_message
 from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.worlds.served_world import ServedWorld
 

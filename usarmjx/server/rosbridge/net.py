@@ -27,7 +27,6 @@ from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_name, listen_
 from usarmjx.server.pictures.views import RenderThread
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
-from usarmjx.server.rosbridge.images import PictureRequest, image_view, picture_messages
 from usarmjx.server.rosbridge.republisher import (
     ARRAY_TYPE,
     FEEDBACK,
@@ -40,7 +39,13 @@ from usarmjx.server.rosbridge.republisher import (
 )
 from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosApi, RosRobots, read_spawn
 from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
-from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
+from usarmjx.server.rosbridge.topics import (
+    PictureRequest,
+    RosTopic,
+    WorldTopics,
+    image_view,
+    picture_messages,
+)
 from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.worlds.served_world import ServedWorld
 

@@ -1,16 +1,18 @@
 """The topics of a served world: their messages, and the revision of the data in each.
 
-Readings of sensors are in the frame of their mount; cameras have their calibration.
+Readings of sensors are in the frame of their mount. Cameras have their calibration, and pictures as Image and
+CompressedImage.
 """
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import GRAVITY, mat_from_angles, quat_from_angles
 from usarmjx.models.compile.raster import Grid, floor_map
 from usarmjx.models.roads.network import LatLon
@@ -21,8 +23,11 @@ from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.inertial import Ahrs, Imu
 from usarmjx.sensors.motion import GroundTruth, Ins, Odometry
 from usarmjx.sensors.ranging import Ir, RangeScanner, ScannerSettings, Sonar
+from usarmjx.server.pictures.views import CompositeView, ViewImages, robot_view
+from usarmjx.server.protocol.images import format_number, jpeg
 from usarmjx.server.rosbridge import motion
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
 from usarmjx.server.rosbridge.motion import (
     MAP,
     UNKNOWN,
@@ -352,7 +357,7 @@ class RosTopic:
         name: Its full name.
         type: Short type of its messages.
         revision: Returns a value that changes with the data; None: there is no data yet.
-        make: Makes a message; None for pictures, which `images` makes, and for topics that robots listen to.
+        make: Makes a message; None for pictures, see `PictureRequest`, and for topics that robots listen to.
         robot: The robot that it drives or shows.
         camera: Index of the camera that it shows.
         is_latched: Whether a new subscriber gets its last message, however old that is.
@@ -574,3 +579,70 @@ class WorldTopics:
         bodies, name = self._world.bodies(robot), self._names[robot.slot]
         where = bodies.pos, bodies.mat
         return motion.sensor_transforms(version, self._world.time, name, frames, where)
+
+
+FORMAT = format_number("good")
+
+
+class PictureRequest(NamedTuple):
+    """A requested picture message.
+
+    Attributes:
+        topic: Topic of its camera, compressed or raw.
+        version: Version of its field names.
+        compression: Its encoding.
+    """
+
+    topic: RosTopic
+    version: RosVersion
+    compression: Compression
+
+
+def image_view(topic: RosTopic, size: tuple[int, int]) -> CompositeView:
+    """Return the view of a topic's camera, of that width and height."""
+    if topic.robot is None:
+        raise UsageError(f"{topic.name} shows no camera")
+    return robot_view(topic.robot, topic.robot.cameras[topic.camera].mount.name, size)
+
+
+def picture_messages(
+    asked: Sequence[PictureRequest],
+    views: Mapping[RosTopic, CompositeView],
+    time: float,
+    pictures: ViewImages,
+) -> list[BridgeFrame]:
+    """Return the messages of topics with pictures; may run in another thread.
+
+    Args:
+        asked: The requests.
+        views: View of each topic.
+        time: Simulated time of the views [s].
+        pictures: The pictures.
+    """
+    made: dict[PictureRequest, BridgeFrame] = {}
+    for one in asked:
+        if one not in made:
+            topic, version, compression = one
+            message = picture_message(topic, version, time, pictures[views[topic]])
+            made[one] = publication(topic.name, topic.type, message, version, compression, time)
+    return [made[one] for one in asked]
+
+
+def picture_message(topic: RosTopic, version: RosVersion, time: float, pixels: np.ndarray) -> RosMessage:
+    """Return the message of a topic with a picture (height, width, 3), taken at a simulated time [s]."""
+    header = version.header(time, optical_name(topic.name.strip("/").rpartition("/")[0]))
+    return {"header": header, **_image(topic.type, pixels)}
+
+
+def _image(kind: str, pixels: np.ndarray) -> RosMessage:
+    if kind != RAW_IMAGE:
+        return {"format": "jpeg", "data": jpeg(FORMAT, pixels)}
+    height, width = pixels.shape[:2]
+    size = {"height": height, "width": width}
+    return {
+        **size,
+        "encoding": "rgb8",
+        "is_bigendian": 0,
+        "step": 3 * width,
+        "data": np.ascontiguousarray(pixels, np.uint8).tobytes(),
+    }

@@ -11,7 +11,7 @@ from flax import struct
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, Setting
-from usarmjx.models.arenas.elements import block
+from usarmjx.models.arenas.pieces import block
 from usarmjx.models.drives import RotaryWing
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import Mount, RobotSpec, options

@@ -15,7 +15,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.arenas.elements import block
+from usarmjx.models.arenas.pieces import block
 from usarmjx.models.arenas.soccer import (
     BALL,
     BALL_RADIUS,
