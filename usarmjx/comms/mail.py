@@ -96,6 +96,7 @@ def enqueue(
     size, payload = message
     fits = sent & (transit.count < settings.capacity)
     needs = 0.0 * size if settings.bandwidth is None else size / settings.bandwidth
+    # The backlog was counted at `transit.step`; since then the link has worked it off.
     busy = xp.maximum(transit.backlog - clock.since(transit.step), 0.0)
     backlog = xp.where(fits, busy + needs[:, None], busy)
     delay = xp.ceil((backlog + settings.latency) / clock.period - ROUNDING).astype(xp.int32)
@@ -120,7 +121,9 @@ def dequeue(transit: Transit, clock: Clock) -> tuple[Transit, Array]:
     """
     capacity = transit.arrival.shape[-1]
     waits = np.arange(capacity) < transit.count[..., None]
+    # By their difference, not by comparing counts: these are 32-bit and wrap around.
     arrived = (waits & (clock.step - transit.arrival >= 0)).sum(-1, dtype=xp.int32)
+    # Entries beyond the count are undefined, so the last one may be repeated.
     source = xp.minimum(np.arange(capacity) + arrived[..., None], capacity - 1)
 
     def shifted(values: Array) -> Array:
@@ -244,6 +247,7 @@ def empty_inboxes(settings: MessageSettings, robots: int) -> Inboxes:
 
 def _through(links: Links, key: Array) -> Array:
     """Draw over which links a message gets through (robots, robots)."""
+    # Below, not at: draws may be 0 and are never 1, so probability 0 loses all and 1 none.
     return random.uniform(key, links.delivery_probability.shape) < links.delivery_probability
 
 

@@ -197,6 +197,7 @@ def add_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
 
 def _columns(block: GeomBlock) -> tuple[XYZ, tuple[XYZ, XYZ, XYZ], XYZ]:
     """Return position, orientation and size by components (geoms,), padded to whole chunks."""
+    # Padding lies where no segment passes: 1,000 km off.
     fill = -len(block.owner) % SOLIDS_PER_PASS
     pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=PADDING_DISTANCE)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
     size = jnp.pad(block.size, ((0, fill), (0, 0)), constant_values=1.0)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed

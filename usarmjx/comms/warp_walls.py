@@ -136,6 +136,7 @@ def count_crossings(
     Pieces of a solid are adjacent; its last piece is followed by another owner or kind.
     """
     t = thread_index(wp.tid())
+    # A world has its geoms in groups of 32, the last one padded (`raycast_warp.pack`).
     first = world[t // segments] * ((count + 31) >> 5) * GROUP_SIZE
     middle = (start[t] + end[t]) * 0.5
     half = (end[t] - start[t]) * 0.5
@@ -162,6 +163,7 @@ def count_crossings(
             last = index + 1 == count
             if not last:
                 after = first + geom_row(index + 1)
+                # The fourth number of the first row is the owner, that of the second the kind.
                 last = load_vec4(geoms, after + 32)[3] != r0[3] or load_vec4(geoms, after + 64)[3] != r1[3]
             if last:
                 if met or (kind == TRIANGLE and inside[0] < inside[1]):

@@ -157,6 +157,7 @@ def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> D
         qpos = np.asarray(physics.qpos)[:, group.root_qposadr[0]]
         qvel = np.asarray(physics.qvel)[:, group.root_dofadr[0]]
         mat = np.asarray(mat_from_quat(qpos[:, 3:]))
+        # MuJoCo has a free joint's linear velocity in the world's axes, its angular one in the body's.
         body_velocity = np.einsum("nji,nj->ni", mat, qvel[:, :3])
         twist.append(np.column_stack([body_velocity[:, :2], qvel[:, 5]]))
         pose.append(np.column_stack([qpos[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]))

@@ -161,6 +161,7 @@ def _drop_tags(tags: DroppedTags, ground: Array, requested: Array) -> tuple[Arra
     requested = requested & xp.isfinite(ground).all(-1)
     index = tags.count + xp.cumsum(requested) - 1
     done = requested & (index < MAX_DROPPED_TAGS)
+    # A table in place of a scatter: several robots may drop tags in one step, each at an index of its own.
     at_index = done[:, None] & (index[:, None] == np.arange(MAX_DROPPED_TAGS))
     # 0 * inf is NaN: heights where there is no ground must not reach the sum.
     pos = (at_index[..., None] * xp.where(done[:, None], ground, 0.0)[:, None]).sum(0)

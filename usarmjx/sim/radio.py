@@ -96,6 +96,7 @@ def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
     if world.arena_state is None:
         doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], xp)
         return add_boxes(arena_solids(scene.arena), *doors)
+    # Solids of an arena set stand on its floor: z is lifted to that of the scene.
     arena, lift = world.arena_state, xp.array([0.0, 0.0, scene.arena.floor])
     shapes = scene.arena.shapes[: len(arena.pos)]
     walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)

@@ -173,6 +173,7 @@ class SingleWorld:
     @property
     def steps(self) -> int:
         """Control steps since the world began; unlike `world.step` it does not wrap around."""
+        # After 2**31 - 1 the step goes on at -2**31: a wrap adds the whole range of 32 bits.
         return self._wraps * 2**32 + int(self.world.step)
 
     @property

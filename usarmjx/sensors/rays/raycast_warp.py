@@ -276,6 +276,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
         end = wp.where(begin < wide, wide, count)
         keys = Keys()
         if begin < wide:
+            # Lanes past the end load the last geom; `_key` leaves it out by its slot.
             for k in range(KEYS_PER_LANE):
                 slot = k * width + lane
                 at = first + geom_row(wp.min(begin + slot, end - 1))
@@ -339,6 +340,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     if wanted[cast] > 0:
         fan = cast * fans
         if fans > 1:
+            # All fans of a cast have the same number of rays, one fan after the other.
             fan += integer_quotient(ray, integer_quotient(rays, fans))
         first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
         best = _nearest(
@@ -420,6 +422,7 @@ def pack(blocks: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
 def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
     none = np.zeros(info.num_geoms, np.float32)
     radius = bounding_radius(info.kind, tuple(block.size.T)) if info.compact else none
+    # Compact geoms are culled by their sphere: their box is never read.
     half = block.size if info.compact else jnp.stack(bounding_box(info.kind, tuple(block.size.T))[1], -1)
     place = info.first_index + np.arange(info.num_geoms)
     rows = (block.pos, *(block.mat[:, i] for i in range(3)), block.size, half)
