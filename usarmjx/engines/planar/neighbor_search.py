@@ -79,6 +79,7 @@ def masked_update(needed: Array, function: Callable[..., T], known: T, *args: An
         return jax.tree.map(chosen, function(*args), known)
 
     def in_few() -> T:
+        # Unused places index past the end: reads are clipped there, writes dropped.
         places = jnp.nonzero(needed, size=few, fill_value=worlds)[0]
         return scatter_worlds(known, places, function(*take_worlds(args, places)))
 
@@ -132,6 +133,7 @@ class SceneSolids:
         geoms, fixed, model = self.movable, self.fixed, self.model
         hold = np.full(model.nbody, FIXED), np.zeros(model.nbody, int), np.zeros((model.nbody, 3))
         hold[0][fixed.free], hold[0][fixed.hinged] = FREE, HINGED
+        # Places among the loose coordinates: seven of each free body, then one of each hinge.
         hold[1][fixed.free] = 7 * np.arange(len(fixed.free))
         hold[1][fixed.hinged] = 7 * len(fixed.free) + np.arange(len(fixed.hinged))
         hold[2][fixed.hinged] = fixed.axis
@@ -325,6 +327,7 @@ def _scene(solids: SceneSolids, proposed: ProposedMotion) -> tuple[Array, ...]:
     (kinds, shapes, static_solids), poses = solids.tables, proposed.poses
     places, sized = (0, False) if poses is None else (poses.pos.shape[1], poses.size is not None)
     if poses is None:
+        # No poses are inputs, so no geom is one: -1 as its index and as its row.
         kinds = kinds * [1, 0, 1, 1, 0] - [0, 1, 0, 0, 1]
         poses = GeomPoses(pos=jnp.zeros(1), quat=jnp.zeros(1))
     size = poses.pos if poses.size is None else poses.size

@@ -83,6 +83,7 @@ def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
 def _clean(corners: np.ndarray) -> np.ndarray:
     """Return a polygon counter-clockwise, without repeated corners and corners on a line."""
     ring = [np.asarray(corner, float) for corner in corners]
+    # Without a corner others may lie on a line: again until none does.
     for _ in range(len(ring)):
         kept = [
             p for i, p in enumerate(ring) if abs(_cross(ring[i - 1], p, ring[(i + 1) % len(ring)])) > FLAT
@@ -261,6 +262,7 @@ def _outline(triangles: np.ndarray) -> list[int] | None:
     edges = {(int(t[i]), int(t[(i + 1) % 3])) for t in triangles for i in range(3)}
     border = {a: b for a, b in edges if (b, a) not in edges}
     count = sum((b, a) not in edges for a, b in edges)
+    # A corner that two edges of the border leave stands once in `border`, and twice in `count`.
     if not border or len(border) != count:
         return None
     first = next(iter(border))
@@ -276,6 +278,7 @@ def _outline(triangles: np.ndarray) -> list[int] | None:
 def _flattened(points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, Any]:
     """Return points of a plane as (n, 2), and the function that brings such points back as (n, 3)."""
     middle = points.mean(0)
+    # The axis that the normal is least along: the product is far from zero.
     x = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
     x /= np.linalg.norm(x)
     axes = np.stack([x, np.cross(normal, x)])
