@@ -147,9 +147,12 @@ def servos_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     pulls = [names.index(names[i].removesuffix(HOLD_SUFFIX)) for i in stays_valid]
     joints = model.actuator_trnid[pulls, 0].astype(int)
     gains = model.actuator_biasprm[stays_valid], model.actuator_gainprm[stays_valid]
+    # Hold actuators have an affine gain: ctrl times (-stiffness q - damping v).
     damping, stiffness = -gains[1][:, 2], -gains[1][:, 1]
     limited = model.jnt_limited[joints].astype(bool)
     gears = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    # An equality of joints is a polynomial in the second one: of its coefficients only offset and ratio are
+    # used.
     pairs = np.stack([model.eq_obj1id[gears], model.eq_obj2id[gears]], -1).astype(int).reshape(-1, 2)
     return PlanarServos(
         pull=np.array(pulls, int),
@@ -296,6 +299,7 @@ class PlanarRobots:
 
     def without_tilt(self, motion: "Motion") -> "Motion":
         """Return the robots' motion with the orientations that they would have without their own tilt."""
+        # An orientation is heading times tilt: the conjugate on the right takes the tilt off.
         w, x, y, z = parts(self.tilt)
         return motion.replace(quat=jnp.stack(quat_times(parts(motion.quat), (w, -x, -y, -z)), -1))
 

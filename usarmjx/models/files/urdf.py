@@ -244,6 +244,7 @@ def _frames(root: LinedElement) -> dict[str, Pose]:
     above = {link_at(joint, "child"): joint for some in joints.values() for joint in some}
     frames = {name: NO_POSE for name in names if name not in above}
     waiting = list(frames)
+    # The list grows while it is walked; links of a circle are never reached.
     for name in waiting:
         for joint in joints.get(name, ()):
             child = link_at(joint, "child")
@@ -275,6 +276,7 @@ def _solid(element: LinedElement, where: _Where, resources: Resources) -> Iterat
         yield from shapes_of(found, replace(like, kind="mesh", mesh=NO_MESH))
         return
     if form.tag == "box":
+        # URDF states whole lengths, a Shape has half lengths.
         sizes = lengths_of(form, "size", 3) / 2
     elif form.tag == "sphere":
         sizes = lengths_of(form, "radius", 1)
