@@ -270,6 +270,7 @@ class Batch:
                 broken = state.replace(physics=physics, worlds=finished)
                 recovered = self._recover_where(broken, ~finite, before, reset_bad)
                 return self.run(recovered, remaining, reset_bad=reset_bad)
+            # Inputs after the last step are thrown away: the next call makes them under its own commands.
             worlds = next_worlds if remaining else finished
         return state.replace(physics=physics, worlds=worlds)
 

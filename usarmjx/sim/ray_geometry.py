@@ -106,12 +106,12 @@ class VisibleGeoms(NamedTuple):
     """Some geoms.
 
     Attributes:
-        kind: MuJoCo types, or kinds of `models.build.pieces` (n,).
+        kind: MuJoCo types, or kinds of `models.compile.ray_geoms` (n,).
         pos: Positions [m] (n, 3).
         mat: Orientations (n, 3, 3).
         size: Size numbers [m] (n, 3).
         owner: Slots of the robots that they belong to; -1 for what is no robot's (n,).
-        material: Their materials; members of `spec.MATERIALS` (n,).
+        material: Their materials; members of `shapes.MATERIALS` (n,).
         rgb: Their colours (n, 3).
         label: Their labels for cameras, as in `cameras.paint` (n,).
         geom_index: Place of each in its robot's `KinematicTree`; 0 for what is no robot's (n,).
@@ -211,6 +211,7 @@ def visible_arena(
         size = look.size if here.size is None else here.size
         lift = xp.array([0.0, 0.0, scene.arena.floor])
         moved = _visible(look, here.pos + lift, mat_from_quat(here.quat), size)
+        # Boxes of the arena come first, those of victims after them, as in `moved_geom_poses`.
         boxes = len(moved.kind) - len(victims_of(scene, arena_state).owner)
         if arena_state is not None:
             bones = bone_labels(arena_state.victims.owner, xp)

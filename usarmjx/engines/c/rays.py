@@ -268,6 +268,7 @@ class RayPairs:
         self._model, self._data = model, data
         self._kind, self._material = model.geom_type.copy(), model.geom_group.copy()
         self._is_known = np.isin(self._kind, list(SOLIDS)) & (self._material != MATERIALS.index(FENDER))
+        # A geom without a material has index -1 and picks the 1 that is appended.
         own, shared = model.geom_rgba[:, 3], np.append(model.mat_rgba[:, 3], 1.0)[model.geom_matid]
         self._is_drawn = np.where(model.geom_matid < 0, own, shared) != 0.0  # MuJoCo's rays pass all others
         self._owner = np.full(model.ngeom, -1)
@@ -315,6 +316,7 @@ class RayPairs:
         away = bundles.point - first[:, None]
         far, origins = _dots(away, away), axis.shape[1]
         most = reach + MARGIN + np.sqrt(far.max(1))[:, None] + bound
+        # Squared distances by one matrix product; in double precision the cancellation does no harm here.
         apart = _dots(centre, centre) + _dots(first, first)[:, None] - 2.0 * (first @ centre.T)
         robot, geom = np.nonzero(stops & ((apart <= most * most) | (bound == 0.0)))  # planes have no bound
         offset, both = centre[geom] - first[robot], np.concatenate([axis, away], 1)
@@ -340,6 +342,7 @@ class RayPairs:
         if not len(pairs.geom):
             return nearest, cosine
         kinds = self._kind[pairs.geom]
+        # Pairs are sorted by kind, and SOLIDS has its kinds in ascending order: keep both.
         ends = np.searchsorted(kinds, [*SOLIDS, max(SOLIDS) + 1])
         met = np.full(rays.along.shape[1:], np.inf)
         for first, end, solid in zip(ends, ends[1:], SOLIDS.values(), strict=False):
