@@ -91,7 +91,6 @@ def nearest_of_bundles(
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
     if not work or not count:
         return GeomHits(jnp.full(count, jnp.inf, jnp.float32), jnp.full(count, -1, jnp.int32))
-    # As few pieces as RAYS_AT_A_TIME allows, and all of one size: the last one is padded.
     lines, given, piece = None, rays, -(-count // -(-count // RAYS_AT_A_TIME))
     if isinstance(rays, Fans) and piece < count:
         given = rays.rays()
