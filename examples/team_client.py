@@ -29,7 +29,7 @@ from usarmjx.train.tasks import GoalTeam, Report, TeamMind
 FREE = 1  # a square of a map that is known to be free
 
 BASE, MEMBER = "ComStation", "P2AT"
-PATIENCE = 60.0  # s: an answer takes no longer
+PATIENCE = 300.0  # s: an answer takes no longer; the first ones of a server wait for compilations
 STEP = 0.2  # s between two actions
 
 Chooser = Callable[[np.ndarray], np.ndarray]
@@ -73,7 +73,7 @@ class Post:
             with self.radio.listen(other) as door:
                 self.links[i, j] = self.radio.connect(one, other, door.port)
                 self.links[j, i] = door.accept(PATIENCE)
-        except (RadioError, TimeoutError):
+        except RadioError:
             self.close(i, j)
 
     def close(self, i: int, j: int) -> None:
