@@ -128,15 +128,16 @@ def test_a_bare_name_is_the_newest_version_on_the_command_line(bare, builds, tmp
 def test_a_bare_name_of_a_policy_is_that_of_the_newest_version_or_refused():
     assert load_policy("explore").name == load_policy("explore-v3").name
     assert load_policy("explore").task == "explore-v3"
+    assert load_policy("victim-search").task == "victim-search-v3"
     assert yardsticks.packaged_name("explore") == "explore-v3"
-    assert newest("victim-search") not in POLICIES
+    assert newest("relay-chain") not in POLICIES
     for word in ("eval", "play", "export"):
         done = CliRunner().invoke(
-            app, [word, "victim-search", "--out", "x.npz"][: 4 if word != "eval" else 2]
+            app, [word, "relay-chain", "--out", "x.npz"][: 4 if word != "eval" else 2]
         )
         assert done.exit_code == 2
-        assert "victim-search-v3 is no folder of a run" in done.stderr
-        assert "did you mean 'victim-search-v2'" in done.stderr
+        assert "relay-chain-v3 is no folder of a run" in done.stderr
+        assert "did you mean 'relay-chain-v1'" in done.stderr
 
 
 @pytest.mark.parametrize("bare", BARE)
