@@ -203,11 +203,15 @@ class PhysicsOptions:
     def replaced(self, physics: "Physics") -> "Physics":
         """Return the settings with the solver and the timestep of the case, as far as it has them.
 
+        The control step stays as long as it is.
+
         Raises:
             SpecError: No such solver.
         """
-        given = {"solver": self.solver, "timestep": self.timestep}
-        return replace(physics, **{name: value for name, value in given.items() if value is not None})
+        physics = replace(physics, solver=self.solver or physics.solver)
+        if self.timestep is None:
+            return physics
+        return replace(physics, timestep=self.timestep, substeps=round(physics.period / self.timestep))
 
 
 @dataclass(frozen=True, kw_only=True)

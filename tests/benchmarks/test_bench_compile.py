@@ -83,6 +83,7 @@ def test_another_solver_and_step_replace_those_of_the_physics():
     other = {"solver": "Newton", "timestep": 0.005}
     case = SceneCase(roster="P2AT", arena="field", engine="c", physics="fast", **other)
     assert scene_of(case).physics == replace(PHYSICS.get("fast"), **other, substeps=10)
+    assert case.replaced(PHYSICS.get("fast")).period == PHYSICS.get("fast").period
 
 
 def test_the_memory_of_worlds_is_that_of_their_arrays(tmp_path):
