@@ -281,6 +281,28 @@ def test_jax_counts_a_full_contact_buffer():
         batch.check_overflow(state)
 
 
+@pytest.mark.parametrize(
+    ("names", "cap"),
+    [
+        (("P2AT", "P2AT"), 10),
+        (("Hummer",), 10),
+        (("Soryu",), 30),
+        (("Talon",), 30),
+        (("kenaf", "P2AT"), 30),
+        (("P2AT", "Hummer"), 30),
+    ],
+)
+def test_jax_gives_its_solver_more_iterations_for_long_chains_and_uneven_masses(names, cap):
+    """With 10 a Talon and a Soryu that stand shake (`tests/sim/test_rest.py`), and light robots drift."""
+    scene = build_scene(FLAT, [replace(ROBOTS.get(name), sensors=(), cameras=()) for name in names])
+    assert Batch(scene, 1, engine="jax").engine.model.opt.iterations == cap
+    for other in ("c", "planar"):
+        assert Batch(scene, 1, engine=other).engine.model.opt.iterations == 10
+    many = replace(scene.physics, iterations=50)
+    again = build_scene(FLAT, [ROBOTS.get(name) for name in names], many)
+    assert Batch(again, 1, engine="jax").engine.model.opt.iterations == 50
+
+
 def test_on_jax_a_wall_that_reaches_below_the_floor_takes_no_contacts_from_it():
     """MJX alone pairs the floor with the arena, a mocap body; those 2 m deep would fill the buffer."""
     wall = Shape(kind="box", size=(0.1, 5.0, 2.0), at=(1.5, 0.0, 0.0))

@@ -20,11 +20,16 @@ from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
-MAX_MASS_RATIO, MASS_RATIO_ITERATIONS = 4.0, 30
-"""Largest ratio of the masses of free bodies for the default solver iterations, and the iterations above it.
-MJX-JAX solves all contacts of a world as one problem, which heavy bodies dominate: with 10 iterations a
-block of 0.3 kg crept at 3 mm/s and shot out of a gripper, and a P2AT beside a car drifted 2 cm in a
-second. Engines `c` and `warp` are not affected."""
+MORE_ITERATIONS = 30
+"""Solver iterations at least, if one of the next two limits is exceeded. The solver still stops as soon as it
+has converged. Engines `c` and `warp` are not affected."""
+MAX_MASS_RATIO = 4.0
+"""Largest ratio of the masses of free bodies for fewer iterations. MJX-JAX solves all contacts of a world as
+one problem, which heavy bodies dominate: with 10 iterations a block of 0.3 kg crept at 3 mm/s and shot out of
+a gripper, and a P2AT beside a car drifted 2 cm in a second."""
+MAX_TREE_DOFS = 24
+"""Most degrees of freedom of one robot for fewer iterations: cars have 18. In single precision tracks and
+snakes that stand need up to 15 iterations; with 10, a Talon shook by 0.08 rad and a Soryu by 0.2 rad."""
 MAX_BOX_LENGTH = 1.2
 """Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
 
@@ -268,8 +273,9 @@ class JaxEngine(MjxEngine):
         lightest, heaviest = (
             (1.0, 1.0) if self.varied_bodies is None else self.varied_bodies.vary.mass or (1.0, 1.0)
         )
-        if len(free) and heaviest * masses.max() > MAX_MASS_RATIO * lightest * masses.min():
-            model.opt.iterations = max(model.opt.iterations, MASS_RATIO_ITERATIONS)
+        uneven = len(free) and heaviest * masses.max() > MAX_MASS_RATIO * lightest * masses.min()
+        if uneven or np.bincount(model.dof_treeid).max(initial=0) > MAX_TREE_DOFS:
+            model.opt.iterations = max(model.opt.iterations, MORE_ITERATIONS)
         return model
 
     def _moved_fields(self, poses: GeomPoses) -> dict[str, jax.Array]:
