@@ -53,9 +53,12 @@ def test_a_measurement_comes_again_to_what_is_published():
 
 
 @pytest.mark.every_run("Talon")
-@pytest.mark.parametrize("name", ["Talon", "P2AT", "Sedan", "OmniP2AT"])
+@pytest.mark.parametrize("name", ["Talon", "P2AT", "P2DX", "Sedan", "OmniP2AT"])
 def test_planar_is_as_far_from_c_as_is_published(name):
-    """A class of each kind of drive (tracks, sides, Ackermann, wheels that all steer), by the same orders."""
+    """A class of each kind of drive (tracks, sides, Ackermann, wheels that all steer), by the same orders.
+
+    The motors of a P2DX have more torque at standstill.
+    """
     robot, published = ROBOTS.get(name), packaged_responses()[name]["errors"]
     orders = random_commands(robot, 16, 1000, seed=1)[:250]
     real, planar = (record_drive(robot, orders, engine) for engine in ("c", "planar"))

@@ -112,6 +112,22 @@ def test_a_lag_and_a_most_acceleration_are_those_of_the_closed_form():
     assert way == pytest.approx(1.5**2 / (2 * 2.0), rel=2e-3)  # the braking distance v^2 / 2a
 
 
+def test_a_motor_with_more_torque_at_standstill_brakes_as_it_was_measured():
+    """The bounds of its servo, which are for MuJoCo's solver, do not limit a P2DX a second time.
+
+    From speed v it slows down by a in each second to v1, from where the lag takes over; each step is made at
+    the speed of its end. On C MuJoCo it takes 1.10 m.
+    """
+    robot, period = replace(ROBOTS.get("P2DX"), sensors=(), cameras=()), 0.02
+    answer = Response(**packaged_responses()["P2DX"]["response"])
+    batch, v = Batch(build_scene(FLAT, [robot]), 1, engine="planar"), robot.drive.top_speed
+    fast = drive(batch, robot.drive.max_spin, robot.drive.max_spin, 150)
+    begun, ended = (poses(batch, one)[0, 0] for one in (fast, drive(batch, 0.0, 0.0, 150, fast)))
+    v1 = answer.acceleration * period / -math.expm1(-period / answer.forward_lag)
+    way = (v**2 - v1**2) / (2 * answer.acceleration) + v1 * answer.forward_lag - v * period / 2
+    assert np.linalg.norm(ended[:2] - begun[:2]) == pytest.approx(answer.gain * way, rel=5e-3)
+
+
 def test_longer_steps_lead_to_the_same():
     answer = Response(forward_lag=0.2, turn_lag=0.1, acceleration=1e3, turn_acceleration=1e3)
     told = jnp.array([[0.7, 0.0, 0.4]])

@@ -165,6 +165,8 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
         speed: Factor on how fast they turn (); None: 1.
         hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
         stiffness: Share of gains and torque that its joints' servos exert (actuators,); None: 1.
+        solved: Whether the engine solves for what the servos' torques do. Otherwise it limits accelerations
+            itself, by what was measured with these torques.
     """
 
     step: Array
@@ -174,6 +176,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     speed: Array | None = None
     hold: Array | None = None
     stiffness: Array | None = None
+    solved: bool = struct.field(pytree_node=False, default=True)
 
 
 class ActuatorInputs(struct.PyTreeNode, kw_only=True):
@@ -506,7 +509,7 @@ def _servo(
     # The activation integrates ctrl over the step: bounds of the target are bounds of ctrl, over the period.
     ctrl = xp.clip(rate, (low - ref) / period, (high - ref) / period)
     hold = xp.ones_like(ref)
-    if servos.stall_limit.any():
+    if servos.stall_limit.any() and conditions.solved:
         # Within a step a target gets no farther ahead than that either: the joint's own limit is higher.
         # It goes along with the wheel, or there would be little torque left; not all the way, or a wheel
         # against a wall would spin.

@@ -310,7 +310,7 @@ def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) ->
 
 @named_scope("compute_inputs")
 def compute_inputs(
-    scene: Scene, world: World, physics: PhysicsState, moved: GeomPoses | None = None
+    scene: Scene, world: World, physics: PhysicsState, moved: GeomPoses | None = None, *, solved: bool = True
 ) -> tuple[World, Inputs]:
     """Turn the commands in force into the engine's inputs for one control step.
 
@@ -321,6 +321,7 @@ def compute_inputs(
         world: The world.
         physics: State of the physics.
         moved: Present poses of the moving geoms, if they are known already.
+        solved: Whether the engine solves for contact forces.
     """
     clock = clock_of(scene, world)
     ctrl, act, wrenches, pinned, pinned_dof = (list[Part]() for _ in range(5))
@@ -340,7 +341,7 @@ def compute_inputs(
         factors = {name: _group_values(world, group, name) for name in ("torque", "speed")}
         step = xp.broadcast_to(clock.step, awake.shape)
         own = {"hold": state.hold, "stiffness": state.stiffness, **factors}
-        now = DriveConditions(step=step, powered=awake, depth=depth, **own)
+        now = DriveConditions(step=step, powered=awake, depth=depth, solved=solved, **own)
         command, state = _delayed_command(world, group, state)
 
         driven = compute_actuation(
