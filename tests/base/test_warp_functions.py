@@ -35,10 +35,10 @@ import sys
 import jax, numpy as np
 from pathlib import Path
 from usarmjx.base.program_cache import ProgramCache, compile_program
-from usarmjx.engines.planar import neighbor_search, separation
+from usarmjx.engines.planar import engine, neighbor_search
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
-for module in (neighbor_search, separation):
+for module in (neighbor_search, engine):
     module.warp_in_use = lambda: True
 batch = Batch(build_scene("yellow", ["P2AT", "P2AT"]), 2, engine="planar")
 state = batch.drive(batch.reset(), 0, {"Left": 3.0, "Right": 4.0})
