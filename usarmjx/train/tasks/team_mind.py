@@ -62,9 +62,9 @@ class Report(NamedTuple):
     Attributes:
         seconds: The time since the episode began [s].
         poses: Poses by their INS: x, y [m], yaw [rad], y to the left (robots, 3).
-        ranges: Scans of those with a scanner, all but the base [m] (robots - 1, beams).
+        ranges: Scans of those with a scanner, all but the base [m] (scanners, beams).
         power: Power received, -inf where there is none [dBm] (robots, robots).
-        letters: Receiver, sender, time of sending [s] and contents of the messages that have come.
+        letters: Of each message that has come: receiver, sender, time of sending [s], contents (numbers,).
     """
 
     seconds: float
