@@ -1,4 +1,4 @@
-"""What moves in a step: robots as proposed, packed for Warp kernels, and the movable solids.
+"""Motion of a step: robots as proposed, packed for Warp kernels, and the movable solids.
 
 Movable are loose and hinged bodies, and geoms whose poses are inputs. Limbs of victims move in every step. A
 robot's neighbor list stays valid unless a moved geom is near it, or was when the list was built.
