@@ -31,7 +31,7 @@ def test_the_record_says_what_was_measured_where(outcome):
     assert record["case"] == {
         "worlds": 2, "roster": "P2AT", "arena": "yellow", "generated": 0, "size": None, "engine": "c",
         "radio": False, "physics": "reference", "substeps": 4, "steps": 2, "repeats": 1, "seed": 0,
-        "graph": "step", "profile": True,
+        "graph": "step", "profile": True, "solver": None, "timestep": None,
     }  # fmt: skip
     for word in ("contacts", "sensors", "resets of 1%", "no radio"):
         assert word in record["in_the_step"]

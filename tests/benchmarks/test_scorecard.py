@@ -60,7 +60,7 @@ def test_a_gripper_holds_no_more_than_the_friction_of_its_fingers_carries(monkey
     """
     held = []
     for force in (60.0, 8.0):
-        monkeypatch.setattr(standard, "MOTOR", replace(standard.MOTOR, torque=force))
+        monkeypatch.setattr(standard, "FINGER_MOTOR", replace(standard.FINGER_MOTOR, torque=force))
         robot = replace(ROBOTS.get("Talon"), name=f"Talon{force:g}")
         orders = orders_of(robot)
         assert orders is not None

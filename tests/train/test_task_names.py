@@ -132,9 +132,7 @@ def test_a_bare_name_of_a_policy_is_that_of_the_newest_version_or_refused():
     assert yardsticks.packaged_name("explore") == "explore-v3"
     assert newest("relay-chain") not in POLICIES
     for word in ("eval", "play", "export"):
-        done = CliRunner().invoke(
-            app, [word, "relay-chain", "--out", "x.npz"][: 4 if word != "eval" else 2]
-        )
+        done = CliRunner().invoke(app, [word, "relay-chain", "--out", "x.npz"][: 4 if word != "eval" else 2])
         assert done.exit_code == 2
         assert "relay-chain-v3 is no folder of a run" in done.stderr
         assert "did you mean 'relay-chain-v1'" in done.stderr

@@ -9,8 +9,9 @@ import traceback
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 from usarmjx.base.compilation import NOTICE
@@ -159,6 +160,18 @@ def _module(name: str, place: str) -> ModuleType:
         raise UsageError(f"task {name}: {_fault(error, place)}") from error
 
 
+class SourceLoader(SourceFileLoader):
+    """Loader that compiles the source each time.
+
+    Python takes compiled code for fresh if the source has the same size and changed in the same second.
+    """
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Return the code of the source as it is now."""
+        del fullname
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def _module_name(path: Path) -> str:
     """Return the name of the module that a file with its content is imported as."""
     return f"usarmjx_own_{hashlib.sha256(bytes(path) + path.read_bytes()).hexdigest()[:16]}"
@@ -168,7 +181,7 @@ def _from_file(path: Path) -> ModuleType:
     known = _module_name(path)
     if known in sys.modules:
         return sys.modules[known]
-    spec = importlib.util.spec_from_file_location(known, path)
+    spec = importlib.util.spec_from_file_location(known, path, loader=SourceLoader(known, str(path)))
     assert spec is not None  # as the name ends in .py
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

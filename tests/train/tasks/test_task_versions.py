@@ -38,6 +38,7 @@ def test_the_buildings_of_version_1_are_what_they_were(name):
     arenas = replace(task.arena, count=1).arenas()
     told = repr([(a.name, a.shapes, a.starts, a.victims, a.extent) for a in arenas])
     told = told.replace(", pitch=0.0, roll=0.0", "")  # of start poses, which had no such angles then
+    told = told.replace(", conveyor=None", "")  # nor had solids belts
     assert hashlib.sha256(told.encode()).hexdigest()[:16] == LIBRARIES[name]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -122,8 +123,9 @@ def _run_script(
 
     try:
         asyncio.run(run())
-    except BrokenPipeError:  # whoever read has had enough
-        sys.stderr.close()
+    except BrokenPipeError:
+        # The reader is gone. Python's flush at exit must not fail again, or the status would be 120.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run_panes(

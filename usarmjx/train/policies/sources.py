@@ -25,7 +25,7 @@ from usarmjx.train.envs.membership import building_label, training_note
 from usarmjx.train.envs.recipe import TEST, GeneratedArenas
 from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-from usarmjx.train.make import check_named, find_baseline, make, make_task, task_values
+from usarmjx.train.make import SourceLoader, check_named, find_baseline, make, make_task, task_values
 from usarmjx.train.policies import POLICIES, no_policy
 from usarmjx.train.policies.policy_file import NumpyPolicy, weights_in
 from usarmjx.train.task_names import newest_name, same_class
@@ -88,7 +88,7 @@ def _module(place: str) -> ModuleType:
         folder = str(Path(place).resolve().parent)
         if folder not in sys.path:
             sys.path.append(folder)  # last, so that it hides no module
-        spec = importlib.util.spec_from_file_location(known, place)
+        spec = importlib.util.spec_from_file_location(known, place, loader=SourceLoader(known, place))
         assert spec is not None  # as the name ends in .py
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
