@@ -191,7 +191,7 @@ class CameraCase:
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsOptions:
-    """What replaces settings of the physics that a case names."""
+    """A solver and a timestep in place of those of the physics that a case names."""
 
     solver: Annotated[
         str | None, typer.Option(help="Solver in place of that of --physics: CG, Newton, block (warp).")

@@ -23,7 +23,7 @@ import marl_shared as shared
 
 FIRST_RATING = 1000.0
 SPREAD = 400.0
-"""With so many points more a policy is expected to win ten times as often as it loses."""
+"""Difference in rating at which a policy is expected to win ten times as often as it loses [points]."""
 
 
 @dataclass(frozen=True, kw_only=True)

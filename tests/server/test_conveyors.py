@@ -76,7 +76,7 @@ def test_a_block_is_dragged_by_friction_until_it_has_the_speed_of_the_belt(world
 
 
 def test_it_moves_as_in_c_mujoco(world):
-    """The same scene written by hand, with MuJoCo's attribute surfacevel."""
+    """The same scene as MuJoCo's XML, with its attribute `surfacevel`."""
     physics, loose = world.scene.physics, SURFACES["loose"]
     model = mujoco.MjModel.from_xml_string(f"""
       <mujoco><option timestep="{physics.timestep}" integrator="Euler" cone="{physics.cone}" solver="CG"

@@ -41,7 +41,7 @@ def memory_of():
 
 
 class HallTask:
-    """What the view asks of a task; the robot is in slot 1."""
+    """Stand-in for a task, with the methods that the view calls; the robot is in slot 1."""
 
     news_kind, news_worth = FREE, 1.0
     unfound = TASKS.get("explore-v3").unfound

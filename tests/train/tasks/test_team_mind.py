@@ -16,7 +16,7 @@ SMALL = Buildings(levels=(0.4,), count=1, size=(5, 4), together=True, spacing=1.
 
 
 def report_of(env, state, letters):
-    """What the robots of world 0 would report."""
+    """Return the report of the robots of world 0."""
     world = jax.device_get(state.batch.worlds)
     base, team = (group.memory.last for group in world.groups)
     poses = np.concatenate([base[0][0], team[0][0]])[:, (0, 1, 5)]

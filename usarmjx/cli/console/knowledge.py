@@ -300,7 +300,7 @@ class Completer:
     Attributes:
         knowledge: Knowledge of the robot.
         classes: Robot classes, once they are known.
-        client: What an image server calls the client of its pictures, for `{Client ...}`.
+        client: Address of the picture client as an image server names it, for `{Client ...}`.
     """
 
     knowledge: Knowledge
