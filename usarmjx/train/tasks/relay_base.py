@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.settings import NOT_NEGATIVE
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.tasks.goal_team import GoalTeam, Progress
 from usarmjx.train.tasks.relay_chain import (
@@ -29,7 +30,8 @@ class RelayBase(GoalTeam):
 
     See `GoalTeam` for goals, actions and observations. The third goal is to stay where the robot is, in place
     of the second robot. Links are observed as the power received above the cutoff (1: 20 dB), 0 without a
-    link. For an oracle the deepest twentieth of the building is a frontier.
+    link. For an oracle the deepest twentieth of the building is a frontier. `hint` is 0: a reward for new
+    squares draws robots out of the chain.
 
     Score: 100 times the mean over all steps of the depth of the deepest robot that reaches the base at that
     moment, see `RelayChain`; less `price` for every contact.
@@ -39,6 +41,8 @@ class RelayBase(GoalTeam):
 
     about: ClassVar[str] = "Robots choose goals to carry the radio of a base into a building."
     holds: ClassVar[bool] = True
+
+    hint: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def nothing(self, view: TaskView, memory: TeamMemory) -> RelayChainState:
         """Return the depths of the building."""
