@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.cases import SceneCase, SceneOptions
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, PhysicsState, choose_engine
 from usarmjx.models.compile.physics import PHYSICS

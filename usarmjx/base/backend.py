@@ -6,6 +6,11 @@ random numbers. The two differ only in the last bits of single precision, becaus
 (`tests/base/test_backend.py`).
 
 `jax_entry_points` guards the methods through which programs use JAX: single precision, and no forked process.
+
+Annotations take the array types from here: `Float[Array, "worlds robots 3"]` is a float array of that shape.
+The dimension names are those of the docstrings: worlds, robots (of a robot group unless stated otherwise),
+joints, beams, geoms. Shapes are not checked at run time; `tests/test_shapes.py` compares the docstrings'
+shapes with a built world.
 """
 
 import os
@@ -20,13 +25,19 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PRNGKeyArray
 
 from usarmjx.base import numpy_arrays
-from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 
 T = TypeVar("T")
 Params = ParamSpec("Params")
+Array: TypeAlias = jax.Array | np.ndarray
+"""NumPy or JAX array; a function that accepts both takes the array module as an argument where it matters."""
+ArrayLike: TypeAlias = Array | float
+"""Array, or one number for all elements."""
+Key: TypeAlias = PRNGKeyArray
+"""JAX random key."""
 _on_numpy: ContextVar[bool] = ContextVar("on_numpy", default=False)
 
 

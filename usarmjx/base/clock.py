@@ -7,8 +7,7 @@ from types import ModuleType
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, ArrayLike, xp
 
 LONGEST_INTERVAL = 2**30
 """Longest interval of a schedule [control steps]."""

@@ -15,8 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array, Key
-from usarmjx.base.backend import on_numpy
+from usarmjx.base.backend import Array, Key, on_numpy
 from usarmjx.base.errors import UsageError
 
 THREEFRY_PARITY = 0x1BD11BDA

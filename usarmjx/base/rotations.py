@@ -8,8 +8,7 @@ stored between two operations.
 from collections.abc import Sequence
 from typing import TypeAlias
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, on_numpy, xp
 
 Components: TypeAlias = tuple[Array, ...]
 """Components of a vector (3) or of a quaternion, w first (4)."""

@@ -17,7 +17,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     # Not while running: the protocol modules use this one and know no JAX.
-    from usarmjx.base.arrays import Array, ArrayLike
+    from usarmjx.base.backend import Array, ArrayLike
 
 Vec3 = tuple[float, float, float]
 GRAVITY = 9.81

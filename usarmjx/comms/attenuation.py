@@ -14,8 +14,7 @@ from typing import Annotated
 
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.settings import NOT_NEGATIVE, Setting, validate
 from usarmjx.models.ini.parse import IniFile, Line, as_bool, as_number, fail, read_ini

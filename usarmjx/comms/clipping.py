@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.models.compile.ray_geoms import COLUMN_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays.targets import GeomBlock
 

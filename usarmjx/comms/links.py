@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 from flax import struct
+from jaxtyping import Bool, Float, Int
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array, Bool, Float, Int
-from usarmjx.base.backend import fori_loop, jit, stop_gradient, vmap, xp
+from usarmjx.base.backend import Array, fori_loop, jit, stop_gradient, vmap, xp
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, flip_vector
 from usarmjx.comms.attenuation import AnyRadioSettings, received_power

@@ -16,8 +16,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_at, xp
+from usarmjx.base.backend import Array, set_at, xp
 from usarmjx.base.clock import Clock
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, validate
 from usarmjx.comms.links import Links

@@ -24,8 +24,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import jit, on_numpy, xp
+from usarmjx.base.backend import Array, jit, on_numpy, xp
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.comms.clipping import (

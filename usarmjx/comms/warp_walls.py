@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import warp as wp
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.comms import clipping
 from usarmjx.models.compile.ray_geoms import COLUMN_KIND

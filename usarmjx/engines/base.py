@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UnknownNameError, UnsupportedFeatureError
 from usarmjx.base.registry import Registry, unknown_name
 from usarmjx.models.compile.compose import RobotIndex

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base import process
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from jax.custom_batching import custom_vmap
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
 from usarmjx.base.warp_functions import pause_collection_in_callbacks

@@ -16,8 +16,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, ArrayLike, on_numpy, xp
 from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry

@@ -14,8 +14,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import GRAVITY, angles_from_mat, flip_vector

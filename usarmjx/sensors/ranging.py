@@ -12,8 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE, Parameters, Setting
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.compile.kinematic_tree import BodyPoses

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_at, xp
+from usarmjx.base.backend import Array, set_at, xp
 from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.shapes import GLASS, SKY

@@ -2,8 +2,7 @@
 
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 
 
 class OverlayLines(struct.PyTreeNode, kw_only=True):

@@ -16,8 +16,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, vmap, xp
+from usarmjx.base.backend import Array, named_scope, numpy_backend, on_numpy, set_at, vmap, xp
 from usarmjx.base.clock import Clock, intervals_in_steps, next_due
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree, kinematic_tree_of

@@ -6,8 +6,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend, on_numpy, xp
+from usarmjx.base.backend import Array, numpy_backend, on_numpy, xp
 from usarmjx.base.clock import Time
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import (

@@ -12,8 +12,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.rotations import matvec
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Parameters, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses

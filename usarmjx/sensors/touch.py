@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.rotations import matvec
 from usarmjx.base.settings import POSITIVE
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles

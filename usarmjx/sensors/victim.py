@@ -14,8 +14,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import named_scope, xp
+from usarmjx.base.backend import Array, ArrayLike, named_scope, xp
 from usarmjx.comms.mail import OutgoingMessages
 from usarmjx.engines.base import PhysicsState
 from usarmjx.sim.control import CommandUpdate, ControlMode, update_command

@@ -6,7 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.picture import Annotation, annotate, camera_viewpoint

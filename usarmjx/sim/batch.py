@@ -15,8 +15,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import jax_entry_points, numpy_backend, set_at
+from usarmjx.base.backend import Array, ArrayLike, jax_entry_points, numpy_backend, set_at
 from usarmjx.base.compilation import NOTICE, enable_cache_after_import
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.rotations import mat_from_quat

@@ -10,8 +10,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import named_scope, on_numpy, xp
+from usarmjx.base.backend import Array, ArrayLike, named_scope, on_numpy, xp
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY

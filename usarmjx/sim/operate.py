@@ -8,8 +8,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import named_scope, set_at, vmap, xp
+from usarmjx.base.backend import Array, ArrayLike, named_scope, set_at, vmap, xp
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.rotations import matvec
 from usarmjx.base.transforms import flip_vector

@@ -6,8 +6,7 @@ import jax
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
+from usarmjx.base.backend import Array, ArrayLike, Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.attenuation import AnyRadioSettings, RadioSettings, WorldRadioSettings

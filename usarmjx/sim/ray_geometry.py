@@ -11,8 +11,7 @@ import jax
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.clock import Time
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.engines.base import GeomPoses, PhysicsState

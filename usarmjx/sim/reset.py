@@ -4,8 +4,7 @@ import jax
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, xp
+from usarmjx.base.backend import Array, ArrayLike, Part, named_scope, on_numpy, set_rows, xp
 from usarmjx.base.rotations import parts, quat_times
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import empty_inboxes

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import ArrayLike
+from usarmjx.base.backend import ArrayLike
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.tables import facts_table
 from usarmjx.comms.attenuation import RadioSettings

@@ -15,8 +15,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.errors import PlaceError, SpecError, UsageError
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.comms.links import Links, no_links

@@ -7,8 +7,7 @@ import jax
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import named_scope, xp
+from usarmjx.base.backend import Array, named_scope, xp
 from usarmjx.engines.base import PhysicsState
 from usarmjx.engines.c.camera_rays import AttachedVisual, GeomColors
 from usarmjx.models.compile.compose import VICTIM_PREFIX, materials_of, textures_of

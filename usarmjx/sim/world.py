@@ -13,8 +13,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
+from usarmjx.base.backend import Array, Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.clock import Clock
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes, receive

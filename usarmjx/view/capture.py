@@ -7,8 +7,7 @@ from typing import Any, cast
 import jax
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.clock import Clock, Time
 from usarmjx.base.rotations import mat_from_quat, quat_from_mat
 from usarmjx.comms.attenuation import RadioSettings

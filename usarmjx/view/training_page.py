@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.engines.base import PhysicsState
 from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.world import World

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.process import cores
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.base import Engine, Inputs, PhysicsState, SolvedStep

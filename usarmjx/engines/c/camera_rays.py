@@ -15,8 +15,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.engines.c.rays import HIDDEN_GROUP, MIN_COSINE, SPHERE_MARGIN, CRayCaster, nearest_in_block
 from usarmjx.models.compile.visuals import VisualModel
 from usarmjx.models.types.shapes import GLASS, OPAQUE

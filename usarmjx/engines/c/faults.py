@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.engines.c.batch import INTEGRATION_STATE
 from usarmjx.engines.c.placement import SEARCH_RADIUS, free_pose
 from usarmjx.models.compile.compose import RobotIndex

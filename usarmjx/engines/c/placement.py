@@ -10,7 +10,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.kinematic_tree import lowest_point
 

@@ -20,8 +20,7 @@ import jax
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.ray_geoms import FENDER_KIND
 from usarmjx.models.types.shapes import FENDER, MATERIALS

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.c.batch import MovedBody, buffer_warnings

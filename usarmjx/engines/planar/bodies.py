@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_rows
+from usarmjx.base.backend import Array, set_rows
 from usarmjx.base.compilation import materialize
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.rotations import mat_from_quat, matmul, parts, quat_times

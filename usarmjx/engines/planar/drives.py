@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.engines.planar.responses import (
     Response,
     UncalibratedRobotError,

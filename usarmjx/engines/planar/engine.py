@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import mujoco
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.warp_functions import warp_function, warp_in_use
 from usarmjx.engines.base import Engine, Inputs, PhysicsState

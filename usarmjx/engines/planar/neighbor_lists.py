@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.overlap import Outlines

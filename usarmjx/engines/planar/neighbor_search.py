@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.warp_functions import warp_function, warp_in_use
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.bodies import FixedBodies

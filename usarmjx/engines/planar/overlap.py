@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 
 FLAT_TOLERANCE = 1e-3
 """Distance within which two corners count as equally near: their side lies flat [m]."""

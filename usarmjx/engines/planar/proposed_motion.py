@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.rotations import matvec
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.bodies import FixedBodies

@@ -6,8 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_rows
+from usarmjx.base.backend import Array, set_rows
 from usarmjx.base.compilation import materialize
 from usarmjx.base.rotations import parts, quat_times
 from usarmjx.engines.base import Inputs

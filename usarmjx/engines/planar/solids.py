@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.engines.base import GeomPoses

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.compile.tags import TagTable, tag_table

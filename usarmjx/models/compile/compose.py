@@ -12,7 +12,7 @@ from types import ModuleType
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, mat_from_angles, quat_from_angles
 from usarmjx.models.compile.geoms import add_geom, arena_inertia, set_inertia, stated_inertia
 from usarmjx.models.compile.parts import chassis_shapes, joint_names, parts_of

@@ -13,8 +13,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.compose import RobotIndex, add_robot, index_robot, new_spec

@@ -13,8 +13,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import vmap, xp
+from usarmjx.base.backend import Array, vmap, xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting, validate
 from usarmjx.models.compile.parts import parts_of

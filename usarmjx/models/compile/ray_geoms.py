@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.models.types.shapes import FENDER, OPAQUE
 
 TRIANGLE_KIND, FENDER_KIND, COLUMN_KIND = 201, 202, 203

@@ -8,8 +8,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.rotations import parts, quat_times
 from usarmjx.models.compile.compose import RobotIndex, add_robot, index_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of, lowest_point

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.models.types.arena import AUTOMATIC_TAG_ID, Tag
 

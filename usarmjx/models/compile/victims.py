@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.clock import Time, cycle_share
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import Components, parts, plus, quat_times, rotated

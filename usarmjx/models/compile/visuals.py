@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import matmul, matvec
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector

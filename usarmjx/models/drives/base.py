@@ -12,8 +12,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, ArrayLike, xp
 
 
 class RobotState(struct.PyTreeNode, kw_only=True):

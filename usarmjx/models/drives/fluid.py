@@ -13,8 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, ArrayLike, xp
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.models.drives.base import Drive, RobotState, VehicleType

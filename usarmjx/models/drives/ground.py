@@ -8,8 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.models.drives.base import Drive, JointControl, VehicleType
 
 POSITION_MODE, VELOCITY_MODE, TORQUE_MODE = 0, 1, 2

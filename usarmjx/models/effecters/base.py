@@ -11,8 +11,7 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.registry import Registry
 from usarmjx.base.settings import NOT_NEGATIVE, Parameters, Setting
 from usarmjx.base.transforms import Vec3, mat_from_angles

@@ -8,8 +8,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.settings import NOT_NEGATIVE
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 from usarmjx.models.types.robot import CHASSIS, Motor, Part, RobotSpec

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.models.types.shapes import GLASS, MIRROR, OPAQUE
 from usarmjx.plots.films.overlays import Overlay

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.cameras.paint import ARENA_LABEL, MIRROR_REFLECTANCE

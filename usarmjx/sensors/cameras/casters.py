@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.models.types.shapes import GLASS, MATERIALS, SKY
 from usarmjx.sensors.cameras.lenses import TILE
 from usarmjx.sensors.cameras.paint import PLANE, GeomAppearance

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 
 TILE = 8
 """Side of a tile [pixels]."""

@@ -13,8 +13,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend, xp
+from usarmjx.base.backend import Array, numpy_backend, xp
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, mat_from_angles

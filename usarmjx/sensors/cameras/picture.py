@@ -7,8 +7,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, RayHits

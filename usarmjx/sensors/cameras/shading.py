@@ -18,8 +18,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.arena import Light
 from usarmjx.models.types.shapes import GLASS, MIRROR, SIGNS, TEXTURES, decode_texture

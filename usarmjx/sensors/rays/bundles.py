@@ -10,8 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.rotations import matvec
 from usarmjx.sensors.rays.kernels import TINY, XYZ, bounding_box
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast_warp import (

@@ -11,8 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
 
 TINY = 1e-12

@@ -17,9 +17,9 @@ import mujoco
 import numpy as np
 from flax import struct
 from jax.custom_batching import custom_vmap
+from jaxtyping import Bool, Float, Int
 
-from usarmjx.base.arrays import Array, Bool, Float, Int
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import Fans

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays import bundles

@@ -10,7 +10,7 @@ import numpy as np
 from flax import struct
 from jax.custom_batching import custom_vmap
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.rotations import matvec
 from usarmjx.models.compile.ray_geoms import HFIELD, MESH

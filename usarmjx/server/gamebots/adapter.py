@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Callable
 
-from usarmjx.base.arrays import ArrayLike
+from usarmjx.base.backend import ArrayLike
 from usarmjx.base.clock import wrapped_step
 from usarmjx.base.errors import PeerError, PlaceError, UsageError, UsarmjxError
 from usarmjx.base.registry import is_name

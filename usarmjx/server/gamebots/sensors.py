@@ -7,7 +7,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.models.compile.kinematic_tree import KinematicTree
 from usarmjx.models.compile.parts import joint_names, part_name
 from usarmjx.models.effecters import Effecter, effecters_of

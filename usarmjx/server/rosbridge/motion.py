@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat, quat_from_mat, quat_times, rotated
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles, quat_from_angles

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.base.arrays import ArrayLike
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import ArrayLike, numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import angles_from_mat

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.transforms import Vec3
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.links import Links

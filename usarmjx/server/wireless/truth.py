@@ -12,7 +12,7 @@ Positions are in the wire's axes [m], angles are roll, pitch and yaw [rad] (USAR
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import PeerError
 from usarmjx.server.protocol.dialects import LATER_CLASSES
 from usarmjx.server.protocol.grammar import (

@@ -21,8 +21,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.program_cache import PrecompiledProgram, compile_program
 from usarmjx.base.transforms import Vec3

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import Vec3, angles_from_mat
 from usarmjx.models.compile.kinematic_tree import KinematicTree

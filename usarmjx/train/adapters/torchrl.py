@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.adapters.agents import BINS, Actions, action_grids, picture_of
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.train.baselines.goals import policy_of_choices
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy

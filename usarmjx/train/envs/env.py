@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import jax_entry_points
+from usarmjx.base.backend import Array, jax_entry_points
 from usarmjx.base.compilation import NOTICE, enable_cache_after_import
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program, open_program_cache

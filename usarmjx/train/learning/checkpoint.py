@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import SpecError, UsageError, WriteError
 from usarmjx.base.files import PARTIAL_MARK, writing
 from usarmjx.base.npz_file import NpzLimits, read_npz

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.comms.mail import Inboxes, OutgoingMessages
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train.mapping import maps

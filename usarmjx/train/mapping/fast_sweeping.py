@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 
 MAPS_AT_A_TIME = 64
 """Maps that are swept together: this number stays in a core's own cache, and wait for each other."""

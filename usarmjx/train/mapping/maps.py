@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.reachability import RobotFootprint, reach_map
 from usarmjx.models.types.arena import ArenaSpec

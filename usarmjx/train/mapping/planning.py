@@ -13,8 +13,7 @@ import numpy as np
 from flax import struct
 from jax.custom_batching import custom_vmap
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_rows
+from usarmjx.base.backend import Array, set_rows
 from usarmjx.base.compilation import materialize
 from usarmjx.train.mapping.belief import RECENT_AGE, SECTOR_COUNT, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, MapGrid

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, points_around, to_robot_frame
 from usarmjx.train.mapping.wavefront import frontier
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import warp as wp
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.train.mapping.fast_sweeping import UNREACHABLE, of_one_map, over_maps
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import Array, ArrayLike
 from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.train.mapping.fast_sweeping import UNREACHABLE, swept_distances
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid

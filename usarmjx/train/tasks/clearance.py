@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.train.mapping.belief import SCANNER_RANGE, SECTOR_COUNT, Belief
 from usarmjx.train.mapping.maps import MapGrid, to_robot_frame
 from usarmjx.train.mapping.planning import Goals

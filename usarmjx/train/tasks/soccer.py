@@ -10,7 +10,7 @@ import numpy as np
 from flax import struct
 from flax.struct import PyTreeNode
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import Setting
 from usarmjx.base.transforms import mat_from_angles

@@ -13,7 +13,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.arenas.pieces import block
 from usarmjx.models.arenas.soccer import (

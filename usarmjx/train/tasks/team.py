@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import Part, set_rows
+from usarmjx.base.backend import Array, Part, set_rows
 from usarmjx.base.rotations import wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE
 from usarmjx.base.transforms import flip_angles, flip_vector
