@@ -6,7 +6,7 @@ import warp as wp
 
 from benchmarks.islands.rows import data_of, jacobian, model_of, solved_alone
 from usarmjx.engines.block.islands import THREADS
-from usarmjx.engines.block.solver import islands_kernel, make_problem
+from usarmjx.engines.block.solver import CLASSES, islands_kernel, make_problem
 
 State = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Positions, velocities, controls and accelerations of the last step."""
@@ -103,5 +103,5 @@ def roll_out(
 def islands_of(model: mujoco.MjModel, solved: list[mujoco.MjData]) -> np.ndarray:
     """Return the first tree of the island that each tree belongs to (worlds, trees)."""
     problem = make_problem(model_of(model), data_of(model, solved))
-    wp.launch(islands_kernel(), dim=len(solved) * THREADS, inputs=[problem], block_dim=THREADS)
+    wp.launch(islands_kernel(CLASSES), dim=len(solved) * THREADS, inputs=[problem], block_dim=THREADS)
     return problem.roots.numpy().reshape(len(solved), model.ntree)

@@ -5,6 +5,8 @@ with an elliptic cone. A block of threads handles a world: its threads join the 
 the constraints of its islands in the order of their rows.
 """
 
+from collections.abc import Sequence
+
 from usarmjx.base.errors import EngineError
 
 THREADS = 64
@@ -21,8 +23,12 @@ NEED_CODE = """
     const auto need_of = [](int n, int rows, int constraints, int hessians) -> int {
         return rows * (n + 6) + 2 * constraints + hessians + (n + 1) * (n + 2) / 2 + n * (n + 1) / 2 + 8 * n;
     };
+    // The same for islands with a Hessian in registers: the layout is that of `small.LOAD_CODE`.
+    const auto small_need_of = [](int most, int rows, int constraints, int hessians) -> int {
+        return 2 * most + rows * (most + 6) + 2 * constraints + hessians;
+    };
 """
-"""Native function of an island's degrees of freedom, rows, constraints and numbers of their Hessians."""
+"""Native functions of an island's degrees of freedom, rows, constraints and numbers of their Hessians."""
 
 SIZES_CODE = """
     const int worlds = p.worlds, trees = p.trees, dofs = p.dofs;
@@ -154,8 +160,8 @@ SORT_CODE = """
             before += dim;
             hessians += dim * (dim + 1) / 2;
         }
-        const int need = need_of(numbers[1], numbers[2], numbers[3], numbers[4]);
-        const int size_class = need <= SLOT_0 ? 0 : need <= SLOT_1 ? 1 : need <= SLOT_2 ? 2 : 3;
+        const int n = numbers[1], count = numbers[2], units = numbers[3];
+        const int size_class = FITTING_CLASS;
         const int place = take(p.counts.data + size_class);
         p.tasks.data[(size_t)size_class * worlds * trees + place] = world * trees + t;
     }
@@ -176,6 +182,23 @@ SORT_CODE = """
 """Native code of a block of threads."""
 CODE = NEED_CODE + SIZES_CODE + SORT_CODE
 """Native code of the kernel."""
+
+
+def fitting_class(sizes: Sequence[tuple[int, int]]) -> str:
+    """Return the native expression of an island's size class.
+
+    Args:
+        sizes: Of each class, the numbers of shared memory of an island, 0: any, and the most degrees of
+            freedom, 0: any, with the Hessian in shared memory.
+    """
+    *first, _ = sizes
+    tests = [
+        f"n <= {dofs} && small_need_of({dofs}, count, units, hessians) <= {slot} ? {k} : "
+        if dofs
+        else f"need_of(n, count, units, hessians) <= {slot} ? {k} : "
+        for k, (slot, dofs) in enumerate(first)
+    ]
+    return f"{''.join(tests)}{len(first)}"
 
 
 def check_rows(rows: int) -> None:

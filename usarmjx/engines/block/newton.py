@@ -133,7 +133,7 @@ UNIT_CODE = """
         // The same of all constraints; whether the state of one of the lane's has changed.
         const auto assess = [&]() -> bool {
             bool changed = false;
-            for (int u = lane; u < constraints; u += lanes) {
+            for (int u = lane; u < live; u += lanes) {
                 const int before = state_of(u);
                 assess_one(u);
                 changed |= state_of(u) != before;
@@ -180,7 +180,7 @@ UNIT_CODE = """
         };
         const auto slope = [&](float alpha, float linear, float square, float& first, float& second) {
             float one = 0.0f, two = 0.0f;
-            for (int u = lane; u < constraints; u += lanes) bend(u, alpha, one, two);
+            for (int u = lane; u < live; u += lanes) bend(u, alpha, one, two);
             first = linear + alpha * square + sum(one);
             second = square + sum(two);
         };
@@ -191,7 +191,7 @@ LOAD_CODE = """
         const int* const numbers = p.islands.data + (size_t)task * TASK_NUMBERS;
         const int world = task / trees, tree = task % trees;
         const int members = numbers[0], n = numbers[1], rows = numbers[2];
-        const int constraints = numbers[3], hessians = numbers[4];
+        const int constraints = numbers[3], live = constraints, hessians = numbers[4];
         const size_t first_row = (size_t)world * most_rows, first_tree = (size_t)world * trees;
         const size_t first_dof = (size_t)world * dofs, first_weight = (size_t)world * padded_rows;
         const int* const list = p.listed.data + 2 * (first_row + numbers[5]);

@@ -11,7 +11,7 @@ from typing import Any
 
 import mujoco
 
-from usarmjx.engines.block import islands, newton
+from usarmjx.engines.block import islands, newton, small
 from usarmjx.engines.planar.warp_solids import expand_macros
 
 warp: Any = import_module("warp")
@@ -32,28 +32,82 @@ class SizeClass:
         slot: Numbers of shared memory of an island; 0: its memory is global.
         most: Most islands at a time; the rest wait.
         block: Threads of a block, which handles one or more islands.
+        dofs: Most degrees of freedom, with the Hessian in registers; 0: any number, in the island's memory.
+        registers: Most registers of a thread; None: as the compiler likes.
+        fast: Whether divisions and roots may be off by two units in the last place.
     """
 
     lanes: int
     slot: int
     most: int
     block: int = 128
+    dofs: int = 0
+    registers: int | None = None
+    fast: bool = False
+
+    def code(self) -> str:
+        """Return the native code of the lanes."""
+        return small.CODE if self.dofs else newton.CODE
+
+    def words(self, which: int) -> dict[str, object]:
+        """Return the macros of the native code, for the class of this index."""
+        words = {"LANES": self.lanes, "SLOT": self.slot, "BLOCK": self.block, "SIZE_CLASS": which}
+        return {**MACROS, **words, "DOFS": self.dofs}
 
 
-CLASSES = (
-    SizeClass(lanes=8, slot=768, most=1 << 22, block=64),
+LARGE = (
     SizeClass(lanes=32, slot=2944, most=1 << 14),
     SizeClass(lanes=128, slot=11760, most=1 << 12),
     SizeClass(lanes=128, slot=0, most=264),
 )
-"""Size classes of islands. Shared memory of a block is 48 kB at most, of which Warp has 2 kB itself. Most
-robots on flat ground are of the first: 12 degrees of freedom and eight contacts."""
+"""Size classes of islands beyond the small ones. Shared memory of a block is 48 kB at most, of which Warp has
+2 kB itself."""
+
+
+def small_class(
+    dofs: int, lanes: int, slot: int, block: int = 64, registers: int | None = None, fast: bool = False
+) -> SizeClass:
+    """Return a size class of small islands with the Hessian in registers.
+
+    Args:
+        dofs: Most degrees of freedom: a multiple of four.
+        lanes: Threads of an island.
+        slot: Numbers of shared memory: a multiple of four, and best eight more than one of 32, so that
+            islands of a warp read other banks.
+        block: Threads of a block.
+        registers: As in `SizeClass`.
+        fast: Likewise.
+    """
+    return SizeClass(lanes, slot, 1 << 22, block, dofs, registers, fast)
+
+
+MIDDLE = small_class(24, 16, 1448, registers=168)
+"""Size class of two robots in touch, or of one with many joints."""
+VARIANTS = {
+    "shared": (SizeClass(lanes=8, slot=768, most=1 << 22, block=64), *LARGE),
+    "registers": (small_class(12, 8, 648), MIDDLE, *LARGE),
+    "registers-128": (small_class(12, 8, 648, registers=128), MIDDLE, *LARGE),
+    "registers-96": (small_class(12, 8, 648, registers=96), MIDDLE, *LARGE),
+    "fast-128": (small_class(12, 8, 648, registers=128, fast=True), MIDDLE, *LARGE),
+    "fast-tight": (small_class(12, 8, 520, registers=96, fast=True), MIDDLE, *LARGE),
+    "fast-4": (small_class(12, 4, 648, registers=168, fast=True), MIDDLE, *LARGE),
+    "fast-16": (small_class(12, 16, 648, block=128, registers=96, fast=True), MIDDLE, *LARGE),
+    "objects": (
+        small_class(8, 4, 264, registers=128, fast=True),
+        small_class(12, 8, 648, registers=128, fast=True),
+        MIDDLE,
+        *LARGE,
+    ),
+}
+"""Size classes by name, to be compared."""
+CLASSES = VARIANTS["registers-128"]
+"""Size classes of islands, the smallest first. Most robots on flat ground are of the first: 12 degrees of
+freedom and eight contacts."""
 
 _MUJOCO: Any = mujoco  # more of its constants than its stubs have
 _ROW, _STATE = _MUJOCO.mjtConstraint, _MUJOCO.mjtConstraintState
 MACROS: dict[str, object] = {
     **newton.MACROS,
-    **{f"SLOT_{k}": size_class.slot for k, size_class in enumerate(CLASSES[:-1])},
     "THREADS": islands.THREADS,
     "TASK_NUMBERS": islands.TASK_NUMBERS,
     "CONTACT_ELLIPTIC": int(_ROW.mjCNSTR_CONTACT_ELLIPTIC),
@@ -97,14 +151,20 @@ def problem_type() -> Any:  # noqa: ANN401 - Warp's structs have no type
     return warp.struct(type("BlockProblem", (), {"__annotations__": fields, "__module__": __name__}))
 
 
+def islands_code(classes: tuple[SizeClass, ...]) -> str:
+    """Return the native code that sorts rows by island, for some size classes."""
+    fitting = islands.fitting_class([(one.slot, one.dofs) for one in classes])
+    return expand_macros(islands.CODE, {**MACROS, "FITTING_CLASS": fitting})
+
+
 @cache
-def islands_kernel() -> Any:  # noqa: ANN401 - as above
+def islands_kernel(classes: tuple[SizeClass, ...]) -> Any:  # noqa: ANN401 - as above
     """Return the kernel that sorts rows by island."""
 
     def sort_world(p: Any, index: int) -> None: ...  # noqa: ANN401 - as above
 
     sort_world.__annotations__["p"] = problem_type()
-    native = warp.func_native(expand_macros(islands.CODE, MACROS))(sort_world)
+    native = warp.func_native(islands_code(classes))(sort_world)
 
     def sort_rows_by_island(p: Any) -> None:  # noqa: ANN401 - as above
         native(p, warp.tid())
@@ -114,21 +174,20 @@ def islands_kernel() -> Any:  # noqa: ANN401 - as above
 
 
 @cache
-def newton_kernel(which: int) -> Any:  # noqa: ANN401 - as above
-    """Return the kernel that solves islands of a size class."""
-    size = CLASSES[which]
-    words = {"LANES": size.lanes, "SLOT": size.slot, "BLOCK": size.block, "SIZE_CLASS": which}
+def newton_kernel(size: SizeClass, which: int) -> Any:  # noqa: ANN401 - as above
+    """Return the kernel that solves islands of a size class, whose index is given, too."""
 
     def solve_group(p: Any, groups: int, index: int) -> None: ...  # noqa: ANN401 - as above
 
     solve_group.__annotations__["p"] = problem_type()
-    native = warp.func_native(expand_macros(newton.CODE, {**MACROS, **words}))(solve_group)
+    native = warp.func_native(expand_macros(size.code(), size.words(which)))(solve_group)
 
     def solve_islands(p: Any, groups: int) -> None:  # noqa: ANN401 - as above
         native(p, groups, warp.tid())
 
     solve_islands.__annotations__["p"] = problem_type()
-    return warp.kernel(solve_islands, enable_backward=False, grid_stride=False, module="unique")
+    options = {"enable_backward": False, "grid_stride": False, "cuda_max_registers": size.registers}
+    return warp.kernel(solve_islands, module="unique", module_options={"fast_math": size.fast}, **options)
 
 
 def make_problem(m: Any, d: Any) -> Any:  # noqa: ANN401 - as above
@@ -178,11 +237,12 @@ def solve(m: Any, d: Any) -> None:  # noqa: ANN401 - as above
     """
     islands.check_rows(d.njmax)
     p, threads, device = make_problem(m, d), islands.THREADS, d.qacc.device
-    warp.launch(islands_kernel(), dim=d.nworld * threads, inputs=[p], block_dim=threads, device=device)
+    warp.launch(islands_kernel(CLASSES), dim=d.nworld * threads, inputs=[p], block_dim=threads, device=device)
     for which, size_class in enumerate(CLASSES):
         groups = min(d.nworld * m.ntree, size_class.most)
         if not size_class.slot:
             groups = max(1, min(groups, SCRATCH_NUMBERS // p.scratch_size))
             p.scratch = warp.empty(groups * p.scratch_size, dtype=float)
-        dim, kernel = groups * size_class.lanes, newton_kernel(which)
+        groups += -groups % (32 // min(size_class.lanes, 32))  # whole warps
+        dim, kernel = groups * size_class.lanes, newton_kernel(size_class, which)
         warp.launch(kernel, dim=dim, inputs=[p, groups], block_dim=size_class.block, device=device)
