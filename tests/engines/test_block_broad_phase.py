@@ -86,6 +86,37 @@ def test_a_pair_with_settings_of_its_own_is_always_tested():
     assert table.first_pair.tolist() == [0, 1, 2]
 
 
+@pytest.mark.parametrize("room", [ROOM, 3])
+def test_pairs_of_the_convex_collider_are_listed_kind_by_kind_behind_the_others(room: int):
+    """Those beyond their room are among the others, and the list has the same pairs."""
+    model, found = states("yellow", ["P2AT", "Talon", "P2DX"], 3)
+    mjw = import_module("mujoco.mjx.third_party.mujoco_warp")
+    m = mjw.put_model(model)
+    d = mjw.make_data(model, nworld=len(found), naconmax=ROOM, naccdmax=room, njmax=400)
+    d.qpos.assign(np.array([one.qpos for one in found], np.float32))
+    mjw.kinematics(m, d)
+    pairs = m.nxn_geom_pair_filtered.numpy()
+    table = make_table(model, pairs, np.zeros(len(pairs), bool))
+    context = import_module(DRIVER).create_collision_context(ROOM)
+    d.ncollision.zero_()
+    BroadPhase(table)(m, d, context)
+    count = int(d.ncollision.numpy()[0])
+    listed = context.collision_pair.numpy()[:count]
+    world = context.collision_worldid.numpy()[:count]
+    kinds = table.convex[tuple(np.sort(model.geom_type[listed], axis=1).T)]
+    assert (np.diff(model.geom_type[listed], axis=1) >= 0).all(), "the lower type first"
+    of_kind = [int((kinds == k).sum()) for k in range(kinds.max() + 1)]
+    assert len(of_kind) > 1
+    assert min(of_kind) > 3
+    behind = [k for k, size in enumerate(of_kind) for _ in range(min(size, room))]
+    assert kinds[count - len(behind) :].tolist() == behind
+    if room == ROOM:
+        assert (kinds[: count - len(behind)] == -1).all()
+    every = near_pairs(m, d, BroadPhase(table))
+    mine = [{tuple(sorted(pair)) for pair in listed[world == w].tolist()} for w in range(len(found))]
+    assert mine == every
+
+
 @pytest.mark.oracle
 def test_robots_drive_on_the_engine_as_on_c():
     """The whole step of engine `warp`, within 1e-5 m or rad of C MuJoCo's Newton after 0.2 s."""

@@ -3,6 +3,8 @@
 MuJoCo Warp tests every pair of geoms in every world. Here a group is a kinematic tree, or a solid that does
 not move; one launch finds the groups' boxes, another the pairs of geoms of groups whose boxes overlap.
 MuJoCo Warp's own test decides on each of these. Pairs that it alone would pass are too far apart to touch.
+Pairs of each kind that the convex collider handles are listed one after another, behind all others: so the
+threads of a warp have the same to do.
 """
 
 from dataclasses import dataclass
@@ -23,7 +25,10 @@ FAR = wp.constant(1e6)
 SLACK = wp.constant(1e-4)
 """Slack of the boxes for roundings [m]."""
 ANY = -1
-"""Group of pairs that are always tested: those with margins of their own."""
+"""Group of pairs that are always tested: those with margins of their own, and those with planes."""
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+CONVEX_APART = True
+"""Whether pairs of the convex collider are behind all others; to be compared."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +39,10 @@ class Table:
         geoms: Geoms by group.
         first_geom: Index of the first geom of each group, and the number of geoms (groups + 1,).
         order: Indices in MuJoCo Warp's list of pairs.
-        groups: Both groups of each pair of groups (n, 2).
+        groups: Both groups of each pair of groups (n, 2); a pair of geoms that is always tested is alone.
         first_pair: Index in `order` of the first pair of each pair of groups, and the number of all (n + 1,).
+        convex: Index of each kind of pairs of the convex collider by both types of geoms, the lower type
+            first; -1: others (types, types).
     """
 
     geoms: np.ndarray
@@ -43,6 +50,7 @@ class Table:
     order: np.ndarray
     groups: np.ndarray
     first_pair: np.ndarray
+    convex: np.ndarray
 
 
 def make_table(model: mujoco.MjModel, pairs: np.ndarray, own: np.ndarray) -> Table:
@@ -58,11 +66,26 @@ def make_table(model: mujoco.MjModel, pairs: np.ndarray, own: np.ndarray) -> Tab
     used, place = np.unique(group, return_inverse=True)
     geoms = np.argsort(place, kind="stable")
     first_geom = np.searchsorted(place[geoms], np.arange(len(used) + 1))
-    both = np.where(own[:, None], ANY, np.sort(place[pairs.reshape(-1, 2)], axis=1))
-    groups, of_pair = np.unique(both, axis=0, return_inverse=True)
+    pairs = pairs.reshape(-1, 2)
+    kinds = np.sort(model.geom_type[pairs], axis=1)
+    always = own | (kinds == PLANE).any(1)
+    both = np.where(always[:, None], ANY, np.sort(place[pairs], axis=1))
+    alone = np.where(always, np.arange(len(pairs)), -1)
+    groups, of_pair = np.unique(np.column_stack([both, alone]), axis=0, return_inverse=True)
     order = np.argsort(of_pair.ravel(), kind="stable")
     first_pair = np.searchsorted(of_pair.ravel()[order], np.arange(len(groups) + 1))
-    return Table(geoms, first_geom, order, groups.reshape(-1, 2), first_pair)
+    return Table(geoms, first_geom, order, groups[:, :2].reshape(-1, 2), first_pair, _convex_kinds(kinds))
+
+
+def _convex_kinds(kinds: np.ndarray) -> np.ndarray:
+    """Return `Table.convex`, given both types of each pair of geoms."""
+    table = import_module(DRIVER).MJ_COLLISION_TABLE
+    convex = {tuple(map(int, types)) for types, how in table.items() if how.name == "CONVEX"}
+    size = max([int(mujoco.mjtGeom.mjGEOM_MESH), *kinds.ravel().tolist()]) + 1
+    found = np.full((size, size), -1)
+    for k, types in enumerate(sorted(convex & set(map(tuple, kinds.tolist())))):
+        found[types] = k
+    return found
 
 
 def _trees_of_geoms(model: Any) -> np.ndarray:  # noqa: ANN401 - more of MuJoCo than its stubs have
@@ -126,10 +149,11 @@ def pairs_kernel(
         own_margin: wp.array2d[float], own_gap: wp.array2d[float],
         pairs: wp.array[wp.vec2i], ids: wp.array[wp.vec2i],
         groups: wp.array[wp.vec2i], first: wp.array[int], order: wp.array[int],
-        low: wp.array2d[wp.vec3], high: wp.array2d[wp.vec3],
-        xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33], room: int,
+        convex: wp.array2d[int], low: wp.array2d[wp.vec3], high: wp.array2d[wp.vec3],
+        xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33], room: int, convex_room: int,
         count_out: wp.array[int], pair_out: wp.array[wp.vec2i], id_out: wp.array[wp.vec2i],
-        world_out: wp.array[int],
+        world_out: wp.array[int], convex_count: wp.array[int], convex_pair: wp.array2d[wp.vec2i],
+        convex_id: wp.array2d[wp.vec2i], convex_world: wp.array2d[int],
     ) -> None:
         # fmt: on
         world, which = wp.tid()
@@ -144,9 +168,54 @@ def pairs_kernel(
                 aabb, rbound, margin, gap, own_margin, own_gap, xpos, xmat, a, b, own_id[0], world
             ):
                 kinds = wp.vec2i(geom_type[a], geom_type[b])
-                add(room, a, b, kinds[0], kinds[1], world, own_id, count_out, pair_out, id_out, world_out)
+                kind = convex[wp.min(kinds[0], kinds[1]), wp.max(kinds[0], kinds[1])]
+                place = int(convex_room)
+                if kind >= 0:
+                    place = wp.atomic_add(convex_count, kind, 1)
+                if place < convex_room:
+                    pair = wp.vec2i(a, b)
+                    if kinds[0] > kinds[1]:
+                        pair = wp.vec2i(b, a)
+                    convex_pair[kind, place] = pair
+                    convex_id[kind, place] = own_id
+                    convex_world[kind, place] = world
+                else:
+                    add(room, a, b, kinds[0], kinds[1], world, own_id, count_out, pair_out, id_out, world_out)
 
     return near_pairs
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def append_convex_pairs(  # noqa: PLR0913 - as above
+    convex_count: wp.array[int],
+    convex_pair: wp.array2d[wp.vec2i],
+    convex_id: wp.array2d[wp.vec2i],
+    convex_world: wp.array2d[int],
+    room: int,
+    count: wp.array[int],
+    pair_out: wp.array[wp.vec2i],
+    id_out: wp.array[wp.vec2i],
+    world_out: wp.array[int],
+) -> None:
+    """Copy the pairs of each kind behind those that are listed; the list's length stays as it is."""
+    kind, k = wp.tid()
+    convex_room = convex_pair.shape[1]
+    if k >= wp.min(convex_count[kind], convex_room):
+        return
+    place = count[0] + k
+    for before in range(kind):
+        place += wp.min(convex_count[before], convex_room)
+    if place < room:
+        pair_out[place] = convex_pair[kind, k]
+        id_out[place] = convex_id[kind, k]
+        world_out[place] = convex_world[kind, k]
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def count_convex_pairs(convex_count: wp.array[int], convex_room: int, count: wp.array[int]) -> None:
+    """Add the numbers of pairs of all kinds to the list's length."""
+    for kind in range(convex_count.shape[0]):
+        count[0] += wp.min(convex_count[kind], convex_room)
 
 
 class BroadPhase:
@@ -165,7 +234,9 @@ class BroadPhase:
 
         self._geoms, self._first_geom = put(table.geoms), put(table.first_geom)
         self._order, self._first_pair = put(table.order), put(table.first_pair)
-        self._pairs = put(table.groups, wp.vec2i)
+        convex = table.convex if CONVEX_APART else np.full_like(table.convex, -1)
+        self._pairs, self._convex = put(table.groups, wp.vec2i), put(convex)
+        self.convex_kinds = int(convex.max()) + 1
         self.groups, self.group_pairs = len(table.first_geom) - 1, len(table.groups)
 
     def __call__(self, m: Any, d: Any, context: Any, awake: Any = None) -> None:  # noqa: ANN401
@@ -184,14 +255,29 @@ class BroadPhase:
         )
         kernel = pairs_kernel(m.opt.broadphase_filter, *(array.shape[0] for array in shapes + own))
         lists = [m.nxn_geom_pair_filtered, m.nxn_pairid_filtered, self._pairs, self._first_pair, self._order]
+        convex = self._convex_lists(d.naccdmax)
+        found = [d.ncollision, context.collision_pair, context.collision_pairid, context.collision_worldid]
         wp.launch(
             kernel,
             dim=(d.nworld, self.group_pairs),
-            inputs=[m.geom_type, *shapes, *own, *lists, low, high, *poses, d.naconmax],
-            outputs=[
-                d.ncollision,
-                context.collision_pair,
-                context.collision_pairid,
-                context.collision_worldid,
+            inputs=[
+                *(m.geom_type, *shapes, *own, *lists, self._convex, low, high, *poses),
+                *(d.naconmax, d.naccdmax),
             ],
+            outputs=[*found, *convex],
         )
+        if not self.convex_kinds:
+            return
+        wp.launch(
+            append_convex_pairs,
+            dim=(self.convex_kinds, d.naccdmax),
+            inputs=[*convex, d.naconmax],
+            outputs=found,
+        )
+        wp.launch(count_convex_pairs, dim=1, inputs=[convex[0], d.naccdmax], outputs=[d.ncollision])
+
+    def _convex_lists(self, room: int) -> list[Any]:
+        """Return empty lists of the convex collider's pairs: how many, geoms, own settings, worlds."""
+        kinds = max(1, self.convex_kinds)
+        pair, own = (wp.empty((kinds, room), dtype=wp.vec2i) for _ in range(2))
+        return [wp.zeros(kinds, dtype=int), pair, own, wp.empty((kinds, room), dtype=int)]

@@ -92,6 +92,12 @@ VARIANTS = {
     "fast-tight": (small_class(12, 8, 520, registers=96, fast=True), MIDDLE, *LARGE),
     "fast-4": (small_class(12, 4, 648, registers=168, fast=True), MIDDLE, *LARGE),
     "fast-16": (small_class(12, 16, 648, block=128, registers=96, fast=True), MIDDLE, *LARGE),
+    "fast-wide": (
+        small_class(12, 8, 648, registers=128, fast=True),
+        small_class(12, 16, 1160, registers=128, fast=True),
+        small_class(24, 16, 1448, registers=168, fast=True),
+        *LARGE,
+    ),
     "objects": (
         small_class(8, 4, 264, registers=128, fast=True),
         small_class(12, 8, 648, registers=128, fast=True),
