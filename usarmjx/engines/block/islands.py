@@ -11,6 +11,8 @@ from usarmjx.base.errors import EngineError
 
 THREADS = 64
 """Threads of a block, which handles one world."""
+HELD_ROWS, HELD_TREES = 1024, 256
+"""Rows and trees of a world that a GPU's shared memory has room for; more are in global memory."""
 ROW_BITS = 16
 """Bits of a row's index in a list of constraints; its number of rows is above them."""
 MOST_ROWS = 18_000
@@ -40,6 +42,7 @@ SIZES_CODE = """
 
 SORT_CODE = """
 #if defined(__CUDA_ARCH__)
+    __shared__ int held_labels[HELD_ROWS], held_roots[HELD_TREES];
     const int lane = (int)threadIdx.x, lanes = THREADS;
     const int world = (int)((unsigned)index / THREADS);
     const auto wait = []() { __syncthreads(); };
@@ -58,8 +61,13 @@ SORT_CODE = """
     if (world >= worlds) return;
     const int rows = p.nefc.data[world] < most_rows ? p.nefc.data[world] : most_rows;
     const size_t first_row = (size_t)world * most_rows, first_tree = (size_t)world * trees;
+#if defined(__CUDA_ARCH__)
+    int* const label = rows <= HELD_ROWS ? held_labels : p.labels.data + first_row;
+    int* const root = trees <= HELD_TREES ? held_roots : p.roots.data + first_tree;
+#else
     int* const label = p.labels.data + first_row;
     int* const root = p.roots.data + first_tree;
+#endif
     int* const offset = p.offsets.data + first_tree;
     for (int t = lane; t < trees; t += lanes) root[t] = t;
     if (lane == 0) p.iterations.data[world] = 0;
@@ -116,6 +124,12 @@ SORT_CODE = """
         wait();
     }
 
+    // From now on, a row has its island in place of its lower tree.
+    for (int r = lane; r < rows; r += lanes)
+        if (label[r] >= 0) label[r] = label[r] & ~4095 | root[label[r] & 4095];
+    for (int t = lane; t < trees; t += lanes) p.roots.data[first_tree + t] = root[t];
+    wait();
+
     // Each thread sizes its islands.
     for (int t = lane; t < trees; t += lanes) {
         if (root[t] != t) continue;
@@ -128,7 +142,7 @@ SORT_CODE = """
         }
         for (int r = 0; r < rows; ++r) {
             const int packed = label[r];
-            if (packed < 0 || root[packed & 4095] != t) continue;
+            if (packed < 0 || (packed & 4095) != t) continue;
             const int dim = packed >> 24;
             ++constraints;
             count += dim;
@@ -153,7 +167,7 @@ SORT_CODE = """
         int before = 0, hessians = 0;
         for (int r = 0; r < rows; ++r) {
             const int packed = label[r];
-            if (packed < 0 || root[packed & 4095] != t) continue;
+            if (packed < 0 || (packed & 4095) != t) continue;
             const int dim = packed >> 24;
             *to++ = r | dim << ROW_BITS;
             *to++ = (int)((unsigned)before | (unsigned)hessians << ROW_BITS);

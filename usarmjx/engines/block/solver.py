@@ -115,6 +115,8 @@ _ROW, _STATE = _MUJOCO.mjtConstraint, _MUJOCO.mjtConstraintState
 MACROS: dict[str, object] = {
     **newton.MACROS,
     "THREADS": islands.THREADS,
+    "HELD_ROWS": islands.HELD_ROWS,
+    "HELD_TREES": islands.HELD_TREES,
     "TASK_NUMBERS": islands.TASK_NUMBERS,
     "CONTACT_ELLIPTIC": int(_ROW.mjCNSTR_CONTACT_ELLIPTIC),
     "EQUALITY": int(_ROW.mjCNSTR_EQUALITY),
