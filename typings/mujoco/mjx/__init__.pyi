@@ -24,7 +24,10 @@ class Data(_Node):
     act: Array
     ctrl: Array
     xfrc_applied: Array
+    qacc: Array
     qacc_warmstart: Array
+    qfrc_smooth: Array
+    qfrc_constraint: Array
     geom_xpos: Array
     userdata: Array
     _impl: Any
@@ -39,3 +42,6 @@ def make_data(
     njmax: int | None = None,
 ) -> Data: ...
 def step(m: Model, d: Data) -> Data: ...
+def forward(m: Model, d: Data) -> Data: ...
+def euler(m: Model, d: Data) -> Data: ...
+def mul_m(m: Model, d: Data, vec: Array) -> Array: ...
