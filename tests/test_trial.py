@@ -107,6 +107,7 @@ def test_libraries_are_tried_with_the_examples_of_the_page_and_the_versions_of_t
         program = library.program(page)
         compile(program, library.title, "exec")
         assert "from usarmjx.train.adapters import" in program
+        assert "```" not in program
         assert set(library.extras) <= extras.keys()
         pinned = [one for one in library.requirements if "==" in one]
         assert all(one in workflow for one in pinned), pinned

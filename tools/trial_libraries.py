@@ -14,7 +14,7 @@ class Library:
     """A library that learns in our worlds.
 
     Attributes:
-        title: Its section of the page, whose example is run.
+        title: Its section of the page, whose examples are run one after another.
         distribution: Its name in the package index.
         extras: Ours that bring it.
         requirements: To install beside usarmjx.
@@ -30,12 +30,12 @@ class Library:
     changes: tuple[tuple[str, str], ...] = ()
 
     def program(self, page: str) -> str:
-        """Return the program to run: the example, and a line with the library's version.
+        """Return the program to run: the examples, and a line with the library's version.
 
         Args:
             page: Text of `PAGE`.
         """
-        (example,) = BLOCK.findall(page.split(f"\n## {self.title}\n")[1].split("\n## ")[0])
+        example = "\n".join(BLOCK.findall(page.split(f"\n## {self.title}\n")[1].split("\n## ")[0]))
         for old, new in self.changes:
             if old not in example:
                 raise ValueError(f"the example of {self.title} does not say {old}")
@@ -45,6 +45,9 @@ class Library:
 
 
 LIBRARIES = {
+    "gymnasium": Library(
+        "Gymnasium", "gymnasium", extras=("rl",), before=MAKE, changes=(("num_envs=16", "num_envs=2"),)
+    ),
     "sb3": Library("Stable-Baselines3", "stable-baselines3", extras=("rl", "sb3")),
     "pettingzoo": Library("PettingZoo", "pettingzoo", extras=("rl",)),
     "jaxmarl": Library("JaxMARL", "jaxmarl", extras=("rl",), changes=(("64", "2"),)),

@@ -9,6 +9,7 @@ import pytest
 import dev
 from benchmarks import days
 from tests.benchmarks.records import validator
+from usarmjx.engines import ENGINES
 from usarmjx.models.compile.physics import Physics
 
 PHYSICS = Physics(timestep=0.01, substeps=10)
@@ -45,7 +46,9 @@ def test_one_bit_is_a_difference():
 
 def test_the_records_have_whole_days_without_a_difference():
     lines = (dev.ROOT / "benchmarks" / "results" / "days.jsonl").read_text(encoding="utf-8").splitlines()
-    for record in map(json.loads, lines):
+    records = [json.loads(line) for line in lines]
+    assert {record["case"]["engine"] for record in records} == set(ENGINES.names())
+    for record in records:
         validator().validate(record)
         assert record["differ"] == []
         assert record["case"]["hours"] == 24.0
