@@ -47,7 +47,9 @@ class SizeClass:
 
     def code(self) -> str:
         """Return the native code of the lanes."""
-        return small.CODE if self.dofs else newton.CODE
+        code = small.CODE if self.dofs else newton.CODE
+        # Warp takes kernels of the same code for one, whatever the options of their modules.
+        return code + ("    // fast\n" if self.fast else "")
 
     def words(self, which: int) -> dict[str, object]:
         """Return the macros of the native code, for the class of this index."""
