@@ -4,9 +4,10 @@ python -m benchmarks.islands.speed physics --worlds 4096 --robots 16 --out block
 python -m benchmarks.islands.speed whole --worlds 4096 --robots 16 --solvers registers,CG --out block.jsonl
 
 `physics` launches Warp's kernels without JAX, with each of `solver.VARIANTS` in turn: from the same state,
-under the same random controls; a variant `+mixed` has pairs of the convex collider among all others. `whole`
-takes the whole step with all sensors, as `bench step` does. Several of these compile beside each other, and
-measure one after another, if they are given the same `--lock`.
+under the same random controls; a variant `+mixed` has pairs of the convex collider among all others, and
+one `+tiles` MuJoCo Warp's solution of the mass matrix. `whole` takes the whole step with all sensors, as
+`bench step` does. Several of these compile beside each other, and measure one after another, if they are
+given the same `--lock`.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from usarmjx.engines.block import islands, solver
+from usarmjx.engines.block import islands, solver, trees
 
 MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp"
 """Private; the version of MJX is pinned."""
@@ -93,7 +94,7 @@ class PhysicsWorlds:
         for apart in (False, True):  # the last is the usual one
             broad_phase.CONVEX_APART = apart
             self._steps[apart] = _step_by_blocks(BroadPhase(table, device))
-        self._step = self._steps[True]
+        self._step, self._most_size = self._steps[True], trees.MOST_SIZE
         self.device, self.worlds, self.robots = device, worlds, robots
         names = ("qpos", "qvel", "qacc_warmstart", "time", "act")
         self._state = {name: value for name in names if (value := getattr(self.d, name)).size}
@@ -101,8 +102,9 @@ class PhysicsWorlds:
 
     def choose(self, variant: str) -> None:
         """Choose the variant of the steps from now on."""
-        name, _, mixed = variant.partition("+")
-        solver.CLASSES, self._step = solver.VARIANTS[name], self._steps[not mixed]
+        name, *other = variant.split("+")
+        solver.CLASSES, self._step = solver.VARIANTS[name], self._steps["mixed" not in other]
+        trees.MOST_SIZE = 0 if "tiles" in other else self._most_size
 
     def step(self) -> None:
         """Launch the kernels of a physics step."""

@@ -230,8 +230,11 @@ def _step_by_blocks(broad_phase: Callable[..., None] | None) -> Callable[..., An
         changed["fwd_position"] = _with_globals(
             forward.fwd_position.__wrapped__, collision_driver=SimpleNamespace(collision=collision)
         )
+    smooth = import_module("usarmjx.engines.block.trees").smooth_module()
+    changed["fwd_acceleration"] = _with_globals(forward.fwd_acceleration.__wrapped__, smooth=smooth)
     dynamics = _with_globals(forward.forward.__wrapped__, **changed)
-    return _with_globals(forward.step.__wrapped__, forward=dynamics)
+    euler = _with_globals(forward.euler.__wrapped__, smooth=smooth)
+    return _with_globals(forward.step.__wrapped__, forward=dynamics, euler=euler)
 
 
 @cache
