@@ -71,7 +71,8 @@ class PhysicsWorlds:
 
         physics = Physics(solver="block")
         scene = build_scene("yellow", ["P2AT"] * robots, physics)
-        model, warp = scene.model, import_module(MUJOCO_WARP)
+        model: Any = scene.model  # more of MuJoCo than its stubs have
+        warp = import_module(MUJOCO_WARP)
         model.opt.solver = 1  # as the engine has it: MuJoCo Warp then lists no rows for Newton's method
         self.m, contacts = warp.put_model(model), int(model.numeric("max_contact_points").data[0])
         self.m.opt.warn_overflow = False
@@ -127,7 +128,7 @@ class PhysicsWorlds:
         """Return the time of a physics step, as a CUDA graph if there is a GPU [s]."""
         graph = None
         if self.device.is_cuda:
-            with wp.ScopedCapture(device=self.device) as capture:
+            with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
                 self.step()
             graph = capture.graph
         times = []

@@ -15,6 +15,7 @@ from tests.engines.block_rows import random_states
 from usarmjx.engines.block import trees
 from usarmjx.sim.scene import build_scene
 
+_MUJOCO: Any = mujoco  # more of it than its stubs have
 ERROR = 1e-4
 """Of the product of the matrix and the solution, relative to the largest number of a world's right side:
 single precision; inertias of a robot are some thousand times those of its camera."""
@@ -33,8 +34,8 @@ def worlds_of(model: mujoco.MjModel, robots: int) -> tuple[Any, Any, list[np.nda
     for qpos, *_ in states:
         data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
         data.qpos[:] = qpos
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_fullM(model, data, mass)
+        _MUJOCO.mj_fwdPosition(model, data)
+        _MUJOCO.mj_fullM(model, data, mass)
         masses.append(mass)
     return m, d, masses
 

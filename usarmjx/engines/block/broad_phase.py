@@ -83,7 +83,7 @@ def _convex_kinds(kinds: np.ndarray) -> np.ndarray:
     convex = {tuple(map(int, types)) for types, how in table.items() if how.name == "CONVEX"}
     size = max([int(mujoco.mjtGeom.mjGEOM_MESH), *kinds.ravel().tolist()]) + 1
     found = np.full((size, size), -1)
-    for k, types in enumerate(sorted(convex & set(map(tuple, kinds.tolist())))):
+    for k, types in enumerate(sorted(convex & {(int(a), int(b)) for a, b in kinds})):
         found[types] = k
     return found
 
