@@ -24,8 +24,8 @@ from usarmjx.train.tasks.goal_features import (
 )
 from usarmjx.train.tasks.goal_team import HOLD
 
-STRONG = 0.1
-"""Power above the cutoff, as observed, with which a robot goes on: 2 dB."""
+STRONG = 0.05
+"""Power above the cutoff, as observed, with which a robot goes on: 1 dB."""
 LOST = 2.0
 """A robot that has had no contact with the base for so long goes there [s]."""
 AHEAD = 0.3
