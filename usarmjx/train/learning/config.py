@@ -55,6 +55,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "victim-search-v1": {**MAZE_SETTINGS, **SHORT_HORIZON, "total_steps": 16_000_000},
     "explore-v2": {**MAZE_SETTINGS, **SHORT_HORIZON, "imitation_steps": 5_000_000, "total_steps": 24_000_000},
     **dict.fromkeys(GOAL_TASKS, GOAL_SETTINGS),
+    "relay-chain-v3": {**GOAL_SETTINGS, "entropy_coef": 0.03, "teacher": "oracle"},
     "victim-search-v2": {
         **MAZE_SETTINGS,
         **{"gamma": 0.99, "gae_lambda": 0.95, "gru_size": 64},
