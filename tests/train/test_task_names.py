@@ -130,7 +130,11 @@ def test_a_bare_name_of_a_policy_is_that_of_the_newest_version_or_refused():
     assert load_policy("explore").task == "explore-v3"
     assert load_policy("victim-search").task == "victim-search-v3"
     assert yardsticks.packaged_name("explore") == "explore-v3"
-    assert newest("relay-chain") not in POLICIES
+    assert load_policy("relay-chain").task == "relay-chain-v3"
+
+
+def test_a_bare_name_is_refused_if_only_an_older_version_is_packaged(monkeypatch):
+    monkeypatch.delitem(POLICIES._entries, "relay-chain-v3")
     for word in ("eval", "play", "export"):
         done = CliRunner().invoke(app, [word, "relay-chain", "--out", "x.npz"][: 4 if word != "eval" else 2])
         assert done.exit_code == 2
