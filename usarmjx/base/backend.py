@@ -60,6 +60,16 @@ def on_numpy() -> bool:
     return _on_numpy.get()
 
 
+def known_all(flags: Any) -> bool:  # noqa: ANN401 - an array of booleans
+    """Return whether all flags are set; False on JAX, where a traced value decides no branch."""
+    return _on_numpy.get() and np.count_nonzero(flags) == np.size(flags)
+
+
+def known_none(flags: Any) -> bool:  # noqa: ANN401 - an array
+    """Return whether no flag is set, or all numbers are 0; False on JAX, as `known_all`."""
+    return _on_numpy.get() and not np.count_nonzero(flags)
+
+
 class _ArrayFunctions:
     """Array module that forwards every attribute to the active library."""
 

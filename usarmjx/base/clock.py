@@ -7,7 +7,9 @@ from types import ModuleType
 import numpy as np
 from flax import struct
 
-from usarmjx.base.backend import Array, ArrayLike, xp
+from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 
 LONGEST_INTERVAL = 2**30
 """Longest interval of a schedule [control steps]."""
@@ -15,7 +17,7 @@ FINEST_DENOMINATOR = 10_000
 """Largest denominator of an interval in control steps."""
 
 
-class Clock(struct.PyTreeNode, kw_only=True):
+class Clock(Node, kw_only=True):
     """A moment of a world.
 
     Counts are 32-bit and wrap around; differences of counts up to 2^31 apart are exact. Seconds in single

@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from flax import struct
 
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import UnknownNameError, UnsupportedFeatureError
+from usarmjx.base.nodes import Node
 from usarmjx.base.registry import Registry, unknown_name
 from usarmjx.models.compile.compose import RobotIndex
 from usarmjx.models.compile.geoms import MovedGeoms
@@ -164,7 +164,7 @@ def _of(values: Array, owner: np.ndarray, other: float = 1.0) -> jax.Array:
     return jnp.where(owner >= 0, values[:, np.maximum(owner, 0)], other)
 
 
-class PhysicsState(struct.PyTreeNode, kw_only=True):
+class PhysicsState(Node, kw_only=True):
     """Engine state as seen by the layers above, in MuJoCo's layout.
 
     Attributes:
@@ -178,7 +178,7 @@ class PhysicsState(struct.PyTreeNode, kw_only=True):
     act: Array
 
 
-class GeomPoses(struct.PyTreeNode, kw_only=True):
+class GeomPoses(Node, kw_only=True):
     """Poses of the arena geoms that are inputs (data), in the frame of the body `arena`.
 
     Attributes:
@@ -192,7 +192,7 @@ class GeomPoses(struct.PyTreeNode, kw_only=True):
     size: Array | None = None
 
 
-class Inputs(struct.PyTreeNode, kw_only=True):
+class Inputs(Node, kw_only=True):
     """Engine inputs of one control step.
 
     Attributes:

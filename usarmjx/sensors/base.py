@@ -13,12 +13,12 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 import jax
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.backend import Array, ArrayLike, on_numpy, xp
 from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError
+from usarmjx.base.nodes import Node
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
 from usarmjx.base.settings import ANY_PARAMETERS, NOT_NEGATIVE, Parameters, Setting
@@ -98,7 +98,7 @@ def is_vectorized(method: Callable[..., Any]) -> bool:
     return getattr(method, "vectorized", False)
 
 
-class SensorInput(struct.PyTreeNode, kw_only=True):
+class SensorInput(Node, kw_only=True):
     """Inputs of one robot's sensors at one moment.
 
     Attributes:
@@ -135,7 +135,7 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
         return self.replace(**jax.tree.map(lambda x: x[robots], own))
 
 
-class Reading(struct.PyTreeNode, kw_only=True):
+class Reading(Node, kw_only=True):
     """Latest reading of a sensor.
 
     Attributes:

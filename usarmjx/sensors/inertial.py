@@ -11,10 +11,11 @@ from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.backend import Array, xp
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import GRAVITY, angles_from_mat, flip_vector
@@ -54,7 +55,7 @@ class ImuSettings(SensorSettings):
     accel_range: Annotated[float, POSITIVE] = 176.0
 
 
-class ImuMemory(struct.PyTreeNode, kw_only=True):
+class ImuMemory(Node, kw_only=True):
     """Memory of an IMU.
 
     Attributes:
@@ -212,7 +213,7 @@ class AhrsSettings(SensorSettings):
     """Keys of `[USARSensor.IMU]`: those of all sensors."""
 
 
-class AhrsMemory(struct.PyTreeNode, kw_only=True):
+class AhrsMemory(Node, kw_only=True):
     """Memory of an attitude and heading reference.
 
     Attributes:

@@ -10,11 +10,11 @@ from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.backend import Array, xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Parameters, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
@@ -62,7 +62,7 @@ class OdometrySettings(SensorSettings):
     sigma: Annotated[float, NOT_NEGATIVE] = 0.0
 
 
-class OdometryMemory(struct.PyTreeNode, kw_only=True):
+class OdometryMemory(Node, kw_only=True):
     """Memory of odometry.
 
     Attributes:
@@ -181,7 +181,7 @@ class InsSettings(SensorSettings):
     polar_step: Annotated[bool, Setting(manual_key="PolarStep")] = False
 
 
-class InsMemory(struct.PyTreeNode, kw_only=True):
+class InsMemory(Node, kw_only=True):
     """Memory of the INS.
 
     Attributes:
@@ -370,7 +370,7 @@ class TachometerSettings(SensorSettings):
     """Keys of `[USARSensor.Tachometer]`: those of all sensors."""
 
 
-class TachometerMemory(struct.PyTreeNode, kw_only=True):
+class TachometerMemory(Node, kw_only=True):
     """Memory of a tachometer.
 
     Attributes:

@@ -5,9 +5,10 @@ from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
-from flax import struct
 
-from usarmjx.base.backend import Array, set_at, xp
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import set_at, xp
+from usarmjx.base.nodes import Node
 from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.shapes import GLASS, SKY
@@ -87,7 +88,7 @@ def _link_quality(settings: RfidSettings, strength: Array) -> Array:
     return xp.clip((strength - least) / max(float(best) - least, 1e-3), 0.0, 1.0)
 
 
-class RfidMemory(struct.PyTreeNode, kw_only=True):
+class RfidMemory(Node, kw_only=True):
     """Memory of an RFID reader.
 
     Attributes:
@@ -101,7 +102,7 @@ class RfidMemory(struct.PyTreeNode, kw_only=True):
     overlay: OverlayLines | None = None
 
 
-class _Tags(struct.PyTreeNode, kw_only=True):
+class _Tags(Node, kw_only=True):
     """Nearest tags, nearest first.
 
     Attributes:

@@ -1,11 +1,11 @@
 """Overlays that sensors draw into camera pictures (manual 10.9.2, 10.10.2)."""
 
-from flax import struct
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 
-from usarmjx.base.backend import Array, xp
 
-
-class OverlayLines(struct.PyTreeNode, kw_only=True):
+class OverlayLines(Node, kw_only=True):
     """Straight lines; a line of zero length is a point.
 
     Attributes:

@@ -13,12 +13,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.backend import Array, named_scope, numpy_backend, on_numpy, set_at, vmap, xp
 from usarmjx.base.clock import Clock, intervals_in_steps, next_due
 from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.nodes import Node
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.types.robot import RobotSpec, resolve_settings
 from usarmjx.sensors import gps, inertial, motion, power, ranging, rfid, swept, touch, victim
@@ -34,7 +34,7 @@ SENSOR_MODULES = (gps, inertial, motion, power, ranging, rfid, swept, touch, vic
 """Modules whose import registers sensor types; a new module belongs here."""
 
 
-class SensorMemory(struct.PyTreeNode, kw_only=True):
+class SensorMemory(Node, kw_only=True):
     """Memory of one robot's sensors.
 
     Attributes:

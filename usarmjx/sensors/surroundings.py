@@ -4,10 +4,10 @@ from types import ModuleType
 
 import jax
 import numpy as np
-from flax import struct
 
 from usarmjx.base.backend import Array, numpy_backend, on_numpy, xp
 from usarmjx.base.clock import Time
+from usarmjx.base.nodes import Node
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import (
     VictimTable,
@@ -21,7 +21,7 @@ from usarmjx.models.compile.victims import (
 from usarmjx.models.effecters import DroppedTags, no_dropped_tags
 
 
-class Surroundings(struct.PyTreeNode, kw_only=True):
+class Surroundings(Node, kw_only=True):
     """Victims and tags of one world at one moment, in world axes. Shared by its robots.
 
     Attributes:

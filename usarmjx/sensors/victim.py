@@ -11,10 +11,11 @@ from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.backend import Array, xp
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.robot import ANGLE_STEP, HALF_TURN, TURN
@@ -323,7 +324,7 @@ def human_motion_probability(distance: Array, speed: Array, swing: Array, xp: Mo
     return near * speed / (speed + HALF_SPEED) * swing / xp.maximum(swing + HALF_SWING, HALF_SWING)
 
 
-class _Movers(struct.PyTreeNode, kw_only=True):
+class _Movers(Node, kw_only=True):
     """Nearest moving body parts, nearest first.
 
     Attributes:

@@ -12,12 +12,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.backend import Array, ArrayLike, jax_entry_points, numpy_backend, set_at
 from usarmjx.base.compilation import NOTICE, enable_cache_after_import
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
+from usarmjx.base.nodes import Node
 from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.base.tables import facts_table
 from usarmjx.comms.links import Links
@@ -48,7 +48,7 @@ Readings = tuple[tuple[Reading, ...], ...]
 """Per group and sensor a reading with leading axes (worlds, robots of the group)."""
 
 
-class BatchState(struct.PyTreeNode, kw_only=True):
+class BatchState(Node, kw_only=True):
     """A batch of worlds.
 
     Attributes:

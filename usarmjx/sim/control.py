@@ -10,8 +10,10 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.backend import Array, ArrayLike, named_scope, on_numpy, xp
+from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import known_all, known_none, named_scope, xp
 from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY
 from usarmjx.models.compile.kinematic_tree import KinematicTree, Servos, actuated_servos
@@ -134,7 +136,11 @@ class ControlMode(IntEnum):
     TORQUE = 2
 
 
-class RobotCommand(struct.PyTreeNode, kw_only=True):
+POSITION, VELOCITY, TORQUE = (int(mode) for mode in ControlMode)
+"""Their numbers: looking up a member of an enumeration takes as long as an operation on a small array."""
+
+
+class RobotCommand(Node, kw_only=True):
     """Command that a robot carries out until the next one.
 
     Attributes:
@@ -153,7 +159,7 @@ class RobotCommand(struct.PyTreeNode, kw_only=True):
     light: Array
 
 
-class DriveConditions(struct.PyTreeNode, kw_only=True):
+class DriveConditions(Node, kw_only=True):
     """Conditions that decide on the effect of a robot's command.
 
     Attributes:
@@ -178,7 +184,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     solved: bool = struct.field(pytree_node=False, default=True)
 
 
-class ActuatorInputs(struct.PyTreeNode, kw_only=True):
+class ActuatorInputs(Node, kw_only=True):
     """Inputs of the engine for one robot.
 
     Attributes:
@@ -375,14 +381,19 @@ def compute_actuation(
         period: Length of a control step [s].
     """
     drive, powered = plan.robot.drive, conditions.powered[..., None]
-    target = xp.where(powered, command.target, 0.0)
-    mode = xp.where(powered, command.mode, int(ControlMode.VELOCITY))
-    setpoint = xp.where(powered, command.setpoint, 0.0)
+    target, mode, setpoint = command.target, command.mode, command.setpoint
+    if not known_all(powered):
+        target = xp.where(powered, target, 0.0)
+        mode = xp.where(powered, mode, VELOCITY)
+        setpoint = xp.where(powered, setpoint, 0.0)
     finite, sound = xp.isfinite(target), xp.isfinite(setpoint)
-    target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
+    if known_all(finite) and known_all(sound):
+        refused = xp.zeros(powered.shape[:-1], xp.int32)
+    else:
+        target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
+        # Where the drive aims joints its setpoints are in their targets already, and would count twice.
+        refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
     ctrl, hold, new_act = _soft_servo(plan, (target, mode), state, act, period, conditions)
-    # Where the drive aims joints its setpoints are in their targets already, and would count twice.
-    refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
     return ActuatorInputs(
         ctrl=ctrl,
         hold=hold,
@@ -409,14 +420,17 @@ def _wrench(
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
     # Without a command there is none: at rest that is a third of the time of all inputs.
-    if isinstance(drive, YieldingSkidSteer) and not (on_numpy() and not setpoint.any()):
+    if isinstance(drive, YieldingSkidSteer) and not known_none(setpoint):
         wrench = wrench + _tyre_wrench(plan, drive, setpoint, state)
-    # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
-    # Counts wrap around, so an idle 0 comes to lie ahead again: only the time of one righting counts.
-    remaining = xp.asarray(flip_until) - conditions.step
-    flips = powered & (remaining > 0) & (remaining <= round(FLIP_TIME / period))
-    if drive.is_wheeled and not (on_numpy() and not flips.any()):
-        wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
+    if drive.is_wheeled:
+        # Counts wrap around, so an idle 0 comes to lie ahead again: only the time of one righting counts.
+        remaining = xp.asarray(flip_until) - conditions.step
+        ahead = remaining > 0
+        if not known_none(ahead):
+            flips = powered & ahead & (remaining <= round(FLIP_TIME / period))
+            if not known_none(flips):
+                righting = righting_wrench(plan, state, period)
+                wrench = wrench + xp.where(flips[..., None], righting, 0.0)
     return xp.asarray(wrench, xp.float32)
 
 
@@ -468,9 +482,15 @@ def _soft_servo(
     # the target itself.
     act = xp.where(before > 0.0, act / xp.where(before > 0.0, before, 1.0), act)
     servos = _servo(plan, targets, state, act, period, conditions)
-    share = xp.where(targets[1][..., plan.actuated] == ControlMode.TORQUE, 1.0, share)
+    share = xp.where(targets[1][..., plan.actuated] == TORQUE, 1.0, share)
     ctrl, hold, ref = (one * share for one in servos)
     return ctrl, hold, ref
+
+
+@cache
+def _surge_speeds(servos: Servos, period: float) -> np.ndarray:
+    """Return how much faster than its joint a servo's target may move within a control step (actuators,)."""
+    return SURGE_SHARE * servos.surge * (servos.lead + period / 2)
 
 
 def _servo(
@@ -488,41 +508,45 @@ def _servo(
     actuated, servos = actuated_servos(plan)
     q, v, target, mode = (x[..., actuated] for x in (state.joint_pos, state.joint_vel, *targets))
     speed, torque, windup_limit = servos.speed, servos.torque, servos.windup_limit
-    brakes = (mode == ControlMode.VELOCITY) & (target == 0.0) & servos.has_brake
-    if servos.stall_limit.any():
-        slow = xp.clip(1.0 - xp.abs(v) / STALL_SPEED, 0.0, 1.0)
+    where, clip = xp.where, xp.clip
+    brakes = (mode == VELOCITY) & (target == 0.0) & servos.has_brake if servos.brakes else None
+    if servos.stalls:
+        slow = clip(1.0 - xp.abs(v) / STALL_SPEED, 0.0, 1.0)
         windup_limit = windup_limit + slow * servos.stall_limit
-    if servos.has_brake.any():
-        windup_limit = xp.where(brakes, servos.brake_limit, windup_limit)
+    if brakes is not None:
+        windup_limit = where(brakes, servos.brake_limit, windup_limit)
     torque, windup_limit = (_scaled(one, conditions.torque) for one in (torque, windup_limit))
-    speed = _scaled(speed, conditions.speed)
-    target = xp.where(mode == ControlMode.VELOCITY, _scaled(target, conditions.speed), target)
+    if conditions.speed is not None:
+        speed = _scaled(speed, conditions.speed)
+        target = where(mode == VELOCITY, _scaled(target, conditions.speed), target)
     low, high = servos.low, servos.high
     # At this target spring and damper of the servo cancel at the present speed.
     balance = q + servos.lead * v
     held = xp.ones_like(act, dtype=bool) if conditions.hold is None else conditions.hold > 0.0
     # A joint that nothing held has no target to go on from: it begins where it is.
-    ref = xp.clip(xp.where(held, act, balance), balance - windup_limit, balance + windup_limit)
-    rate = xp.where(mode == ControlMode.POSITION, (target - ref) / period, target)
-    rate = xp.clip(rate, -speed, speed)
+    ref = act if known_all(held) else where(held, act, balance)
+    ref = clip(ref, balance - windup_limit, balance + windup_limit)
+    positions = mode == POSITION
+    rate = target if known_none(positions) else where(positions, (target - ref) / period, target)
+    rate = clip(rate, -speed, speed)
     # The activation integrates ctrl over the step: bounds of the target are bounds of ctrl, over the period.
-    ctrl = xp.clip(rate, (low - ref) / period, (high - ref) / period)
+    ctrl = clip(rate, (low - ref) / period, (high - ref) / period)
     hold = xp.ones_like(ref)
-    if servos.stall_limit.any() and conditions.solved:
+    if servos.stalls and conditions.solved:
         # Within a step a target gets no farther ahead than that either: the joint's own limit is higher.
         # It goes along with the wheel, or there would be little torque left; not all the way, or a wheel
         # against a wall would spin.
-        lag, ahead = windup_limit + (ref - balance), windup_limit - (ref - balance)
-        surge = SURGE_SHARE * servos.surge * (servos.lead + period / 2)
-        bounded = xp.clip(ctrl, v - lag / period - surge, v + ahead / period + surge)
-        ctrl = xp.where(servos.stall_limit > 0.0, bounded, ctrl)
-    if servos.has_brake.any():
+        led, surge = ref - balance, _surge_speeds(servos, period)
+        lag, ahead = windup_limit + led, windup_limit - led
+        bounded = clip(ctrl, v - lag / period - surge, v + ahead / period + surge)
+        ctrl = where(servos.stall_limit > 0.0, bounded, ctrl)
+    if brakes is not None:
         # As long as that cannot turn it back within the step, a brake exerts exactly what it can.
         slips = brakes & (xp.abs(v) * servos.armature > servos.brake_limit * servos.stiffness * period)
         ctrl, hold = xp.where(slips, 0.0, ctrl), xp.where(slips, 0.0, hold)
         ref = xp.where(slips, -xp.sign(v) * servos.brake_limit, ref)
-    torque_mode = mode == ControlMode.TORQUE
-    if on_numpy() and not torque_mode.any():
+    torque_mode = mode == TORQUE
+    if known_none(torque_mode):
         return ctrl, hold, ref
     outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
     free = torque_mode & ~outward

@@ -6,10 +6,10 @@ from functools import partial
 
 import jax
 import numpy as np
-from flax import struct
 
 from usarmjx.base.backend import Array, ArrayLike, named_scope, set_at, vmap, xp
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import matvec
 from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.base import PhysicsState
@@ -50,7 +50,7 @@ class Operation:
     opcode: Opcode
 
 
-class OperationResult(struct.PyTreeNode, kw_only=True):
+class OperationResult(Node, kw_only=True):
     """Result of an operation, per robot.
 
     Attributes:
@@ -63,7 +63,7 @@ class OperationResult(struct.PyTreeNode, kw_only=True):
     number: Array
 
 
-class EffecterState(struct.PyTreeNode, kw_only=True):
+class EffecterState(Node, kw_only=True):
     """State that an operation of one effecter can change; leading axis over the robots.
 
     Attributes:

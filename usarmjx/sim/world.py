@@ -10,11 +10,12 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
-from usarmjx.base.backend import Array, Part, named_scope, on_numpy, set_rows, vmap, xp
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Part, known_all, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.clock import Clock
+from usarmjx.base.nodes import Node
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes, receive
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
@@ -78,7 +79,7 @@ RUNAWAY_SPEED = 5.0
 counted as a fault of the physics [m/s]."""
 
 
-class CommandHistory(struct.PyTreeNode, kw_only=True):
+class CommandHistory(Node, kw_only=True):
     """Commands of a robot in the control steps before, the last one first.
 
     Attributes:
@@ -92,7 +93,7 @@ class CommandHistory(struct.PyTreeNode, kw_only=True):
     setpoint: Array
 
 
-class GroupState(struct.PyTreeNode, kw_only=True):
+class GroupState(Node, kw_only=True):
     """The robots of one class in one world; leading axis over them.
 
     Attributes:
@@ -120,7 +121,7 @@ class GroupState(struct.PyTreeNode, kw_only=True):
     stiffness: Array | None = None
 
 
-class FaultCounts(struct.PyTreeNode, kw_only=True):
+class FaultCounts(Node, kw_only=True):
     """Faults in a world since the batch was made, as counts of control steps ().
 
     Attributes:
@@ -138,7 +139,7 @@ class FaultCounts(struct.PyTreeNode, kw_only=True):
     task: Array
 
 
-class World(struct.PyTreeNode, kw_only=True):
+class World(Node, kw_only=True):
     """Everything that changes in one world, but for the physics.
 
     Attributes:
@@ -346,14 +347,16 @@ def compute_inputs(
         driven = compute_actuation(
             group.plan, command, robots, physics.act[group.actadr], now, scene.physics.period
         )
-        parked = ~state.active
         ctrl += [(group.actuator_ids, driven.ctrl), (group.hold_actuator_ids, driven.hold)]
-        act.append((group.actadr, xp.where(parked[:, None], 0.0, driven.act)))
-        wrenches.append((group.chassis, xp.where(parked[:, None], 0.0, driven.wrench)))
-        if not (on_numpy() and state.active.all()):
-            # On NumPy a robot in use needs no row that pins nothing; traced, `active` has no value to ask.
-            pinned += [(places, parked[:, None]) for places in (group.root_qposadr, group.qposadr)]
-            pinned_dof += [(places, parked[:, None]) for places in (group.root_dofadr, group.dofadr)]
+        if known_all(state.active):
+            act.append((group.actadr, driven.act))
+            wrenches.append((group.chassis, driven.wrench))
+        else:
+            parked = ~state.active[:, None]
+            act.append((group.actadr, xp.where(parked, 0.0, driven.act)))
+            wrenches.append((group.chassis, xp.where(parked, 0.0, driven.wrench)))
+            pinned += [(places, parked) for places in (group.root_qposadr, group.qposadr)]
+            pinned_dof += [(places, parked) for places in (group.root_dofadr, group.dofadr)]
         refused = refused + driven.refused.sum().astype(xp.int32)
         groups.append(state.replace(hold=driven.hold))
     inputs = Inputs(

@@ -16,6 +16,7 @@ from flax import struct
 
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import SpecError
+from usarmjx.base.nodes import Node
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import VictimTable, pad_table, victim_table
@@ -142,7 +143,7 @@ def fill_slots(
     return filled
 
 
-class ArenaState(struct.PyTreeNode, kw_only=True):
+class ArenaState(Node, kw_only=True):
     """An arena as data: the part that may differ between the worlds of a batch.
 
     Attributes:

@@ -5,15 +5,16 @@ tree, rather than reading an engine's arrays, makes sensors independent of the e
 the model, and of the half step by which an engine's poses trail its state.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from flax import struct
 
-from usarmjx.base.backend import Array, xp
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.compose import RobotIndex, add_robot, index_robot, new_spec
@@ -31,7 +32,7 @@ ROUND = ("sphere", "capsule", "cylinder", "ellipsoid")
 """Kinds of shapes whose first size is the radius of a wheel."""
 
 
-class BodyPoses(struct.PyTreeNode, kw_only=True):
+class BodyPoses(Node, kw_only=True):
     """Poses of a robot's bodies: chassis, then its parts.
 
     Attributes:
@@ -362,6 +363,16 @@ class Servos:
     has_brake: np.ndarray
     stall_limit: np.ndarray
 
+    @cached_property
+    def brakes(self) -> bool:
+        """Whether any joint has a brake."""
+        return bool(self.has_brake.any())
+
+    @cached_property
+    def stalls(self) -> bool:
+        """Whether any joint has a stall torque."""
+        return bool(self.stall_limit.any())
+
 
 @cache
 def servos_of(robot: RobotSpec) -> Servos:
@@ -402,7 +413,7 @@ def _surge(robot: RobotSpec, motor: Motor, motors: list[Motor]) -> float:
 def actuated_servos(tree: KinematicTree) -> tuple[np.ndarray | slice, Servos]:
     """Return the joints of a robot class with a motor, and the constants of these alone (actuators,)."""
     servos, here = servos_of(tree.robot), tree.actuated
-    own = Servos(**{name: values[here] for name, values in vars(servos).items()})
+    own = Servos(**{field.name: getattr(servos, field.name)[here] for field in fields(servos)})
     # A slice where all joints have a motor: it saves a gather at every step.
     return slice(None) if len(here) == len(servos.speed) else here, own
 

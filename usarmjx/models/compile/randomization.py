@@ -10,11 +10,11 @@ from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.backend import Array, vmap, xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.nodes import Node
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting, validate
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.types.robot import RobotSpec
@@ -112,7 +112,7 @@ class DomainRandomization:
         return getattr(self, name)
 
 
-class RandomizedValues(struct.PyTreeNode, kw_only=True):
+class RandomizedValues(Node, kw_only=True):
     """Values of one world in one episode, as in `DomainRandomization`; None: not varied.
 
     Attributes:

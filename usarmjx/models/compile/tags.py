@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 
 import numpy as np
-from flax import struct
 
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import SpecError
+from usarmjx.base.nodes import Node
 from usarmjx.models.types.arena import AUTOMATIC_TAG_ID, Tag
 
 MAX_RELEASED_ID = 1000
 """Largest ID of releasers (manual 11.2.1); an arena's tags have larger ones."""
 
 
-class TagTable(struct.PyTreeNode, kw_only=True):
+class TagTable(Node, kw_only=True):
     """The tags of an arena; every number is an array leaf, so that tables of several worlds can be stacked.
 
     Attributes:

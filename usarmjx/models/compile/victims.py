@@ -12,11 +12,11 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from flax import struct
 
 from usarmjx.base.backend import Array
 from usarmjx.base.clock import Time, cycle_share
 from usarmjx.base.errors import SpecError
+from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import Components, parts, plus, quat_times, rotated
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.models.types.arena import FalseAlarm, SegmentMotion, Victim
@@ -178,7 +178,7 @@ POSTURES: dict[str, dict[str, Vec3]] = {
 """Angles (pitch, yaw, roll) of the bones in each posture [rad]; bones that are not named are straight."""
 
 
-class VictimTable(struct.PyTreeNode, kw_only=True):
+class VictimTable(Node, kw_only=True):
     """The boxes of an arena's victims and false alarms, and the sounds of the victims.
 
     Every number is an array leaf, so that the tables of several worlds can be stacked once `pad_table` has

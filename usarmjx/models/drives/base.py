@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from flax import struct
 
-from usarmjx.base.backend import Array, ArrayLike, xp
+from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 
 
-class RobotState(struct.PyTreeNode, kw_only=True):
+class RobotState(Node, kw_only=True):
     """Pose and velocities of robots.
 
     Attributes:

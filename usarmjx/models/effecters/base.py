@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from flax import struct
 
-from usarmjx.base.backend import Array, xp
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 from usarmjx.base.registry import Registry
 from usarmjx.base.settings import NOT_NEGATIVE, Parameters, Setting
 from usarmjx.base.transforms import Vec3, mat_from_angles
@@ -24,7 +25,7 @@ MAX_DROPPED_TAGS = 64
 """Capacity of a world for dropped RFID tags (the manual's releasers have IDs for 1001)."""
 
 
-class DroppedTags(struct.PyTreeNode, kw_only=True):
+class DroppedTags(Node, kw_only=True):
     """RFID tags that releasers have dropped in one world since it began.
 
     The tag at index i has the ID i, so that IDs are unique and within those of releasers, 0 to 1000 (manual

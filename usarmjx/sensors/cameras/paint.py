@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.backend import Array
+from usarmjx.base.arrays import Array
+from usarmjx.base.nodes import Node
 from usarmjx.models.compile.compose import ARENA_PREFIX as ARENA_NAMES
 from usarmjx.models.compile.compose import DOOR_PREFIX, LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.compile.victims import victim_table
@@ -48,7 +49,7 @@ WATER_RGB, WATER_TRANSPARENCY = (0.25, 0.5, 0.65), 0.55
 """Colour of water, and share of the background seen through it."""
 
 
-class GeomAppearance(struct.PyTreeNode, kw_only=True):
+class GeomAppearance(Node, kw_only=True):
     """Appearance of geoms, in the order of the blocks of their `Geoms`.
 
     Attributes:

@@ -9,6 +9,7 @@ from flax import struct
 
 from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.errors import UsageError
+from usarmjx.base.nodes import Node
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, RayHits
 from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, from_tiles, omni_rays, pinhole_rays
@@ -28,7 +29,7 @@ CHUNK = 16_384
 """Rays cast together on NumPy: their hits fit into a CPU cache."""
 
 
-class Viewpoint(struct.PyTreeNode, kw_only=True):
+class Viewpoint(Node, kw_only=True):
     """Pose and lens of a camera: everything that differs between cameras.
 
     Attributes:
@@ -110,7 +111,7 @@ def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array)
     )
 
 
-class Picture(struct.PyTreeNode, kw_only=True):
+class Picture(Node, kw_only=True):
     """Picture of a camera; rows from the top, columns from the left.
 
     Attributes:
@@ -241,7 +242,7 @@ def render_picture_jit(render_scene: RenderScene, viewpoint: Viewpoint, width: i
     return render_picture(render_scene, viewpoint, width, height)
 
 
-class Annotation(struct.PyTreeNode, kw_only=True):
+class Annotation(Node, kw_only=True):
     """Annotation of a camera's pixels; rows from the top, columns from the left.
 
     Attributes:

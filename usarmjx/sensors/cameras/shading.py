@@ -16,9 +16,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from flax import struct
 
-from usarmjx.base.backend import Array, on_numpy, xp
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.nodes import Node
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.arena import Light
 from usarmjx.models.types.shapes import GLASS, MIRROR, SIGNS, TEXTURES, decode_texture
@@ -283,7 +284,7 @@ Darkness = Callable[[Beams], Array]
 """Shadow test, as `Caster.is_dark`."""
 
 
-class PointLights(struct.PyTreeNode, kw_only=True):
+class PointLights(Node, kw_only=True):
     """Lamps of an arena.
 
     Attributes:
@@ -295,7 +296,7 @@ class PointLights(struct.PyTreeNode, kw_only=True):
     rgb: Array
 
 
-class Headlights(struct.PyTreeNode, kw_only=True):
+class Headlights(Node, kw_only=True):
     """Headlights of the robots.
 
     Attributes:
@@ -353,7 +354,7 @@ def spot_falloff(cosine: Array) -> Array:
     return share * share * (3 - 2 * share)
 
 
-class RenderScene(struct.PyTreeNode, kw_only=True):
+class RenderScene(Node, kw_only=True):
     """Everything visible in one world.
 
     Attributes:

@@ -19,7 +19,9 @@ from flax import struct
 from jax.custom_batching import custom_vmap
 from jaxtyping import Bool, Float, Int
 
-from usarmjx.base.backend import Array, xp
+from usarmjx.base.arrays import Array, Bool, Float, Int
+from usarmjx.base.backend import xp
+from usarmjx.base.nodes import Node
 from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import Fans
@@ -89,7 +91,7 @@ def _masked_cast(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[A
     return run(wanted, args)
 
 
-class Hits(struct.PyTreeNode, kw_only=True):
+class Hits(Node, kw_only=True):
     """First hits of rays.
 
     Attributes:
@@ -106,7 +108,7 @@ NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))
 """Hits of a robot without rays."""
 
 
-class RayQuery(struct.PyTreeNode, kw_only=True):
+class RayQuery(Node, kw_only=True):
     """Options of a cast, which all backends honour.
 
     Attributes:

@@ -12,6 +12,7 @@ from jax.custom_batching import custom_vmap
 
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import UnsupportedGeomError
+from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import matvec
 from usarmjx.models.compile.ray_geoms import HFIELD, MESH
 from usarmjx.models.types.shapes import OPAQUE
@@ -39,7 +40,7 @@ class GeomBlockInfo(NamedTuple):
     compact: bool
 
 
-class GeomBlock(struct.PyTreeNode, kw_only=True):
+class GeomBlock(Node, kw_only=True):
     """Geoms of one type and material.
 
     Attributes:
@@ -55,7 +56,7 @@ class GeomBlock(struct.PyTreeNode, kw_only=True):
     owner: Array
 
 
-class Geoms(struct.PyTreeNode, kw_only=True):
+class Geoms(Node, kw_only=True):
     """Geoms of one world.
 
     Attributes:
