@@ -62,7 +62,7 @@ def on_numpy() -> bool:
 
 def known_all(flags: Any) -> bool:  # noqa: ANN401 - an array of booleans
     """Return whether all flags are set; False on JAX, where a traced value decides no branch."""
-    return _on_numpy.get() and np.count_nonzero(flags) == np.size(flags)
+    return _on_numpy.get() and np.count_nonzero(flags) == flags.size
 
 
 def known_none(flags: Any) -> bool:  # noqa: ANN401 - an array

@@ -37,9 +37,15 @@ def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Arra
     # Both actuators of a joint together: the pulling one exerts stiffness * act, the holding one takes spring
     # and damper off it.
     unclipped = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
-    limit = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
+    limit = _most_efforts(servos)
     effort = xp.clip(unclipped, -limit, limit)
     return effort @ _joints_of_actuators(plan)
+
+
+@cache
+def _most_efforts(servos: Servos) -> np.ndarray:
+    """Return the largest effort of each servo [N m or N] (actuators,)."""
+    return servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
 
 
 @cache

@@ -5,6 +5,7 @@ and with the same random numbers: a robot at a pose reads what it would read in 
 that seed.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -105,7 +106,8 @@ class SpeedLimits:
         """Look where robots are; return how fast each may be after the next control step [m/s], by slot."""
         height = qpos[self._heights]
         # The engine recovers such a robot; until then its greatest height stands in.
-        height = np.where(np.isfinite(height), height, self._max_heights)
+        if not math.isfinite(np.vdot(height, height)):
+            height = np.where(np.isfinite(height), height, self._max_heights)
         self._max_heights = np.maximum(self._max_heights, height)
         # Energy: a fall by h ends at sqrt(2 g h) at most; the last term is what one more step of free fall
         # adds.
@@ -119,8 +121,8 @@ LOOKAHEAD_STEPS = 10
 """Control steps for which the poses of moving geoms are computed at once."""
 KEPT_SUBSCENES = 64
 """Most sets of robots whose scene is kept: sixteen robots have 65,535 sets."""
-SubScene = tuple[Scene, list[tuple[int, np.ndarray]]]
-"""A scene with some of the robots, and of each of its groups the index and the members."""
+SubScene = tuple[Scene, list[tuple[int, np.ndarray | None]]]
+"""A scene with some of the robots, and of each of its groups the index and the members; None: all."""
 RobotStates = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
 
@@ -390,11 +392,17 @@ class SingleWorld:
         scene, members = self._subscene(frozenset(slots))
         states = self.world.groups
         # Sensing reads only the memories of the robots' states.
-        part = [states[i].replace(memory=_row(states[i].memory, some)) for i, some in members]
+        part = [
+            states[i] if some is None else states[i].replace(memory=_row(states[i].memory, some))
+            for i, some in members
+        ]
         world = self.world.replace(groups=tuple(part))
         world, readings = observe(scene, world, self.physics, self._caster())
         for (i, some), state in zip(members, world.groups, strict=True):
-            self._replace_members(i, some, memory=state.memory)
+            if some is None:
+                self.world = self.world.with_group(i, self.world.groups[i].replace(memory=state.memory))
+            else:
+                self._replace_members(i, some, memory=state.memory)
         return {
             int(slot): tuple(Reading(value=one.value[row], fresh=one.fresh[row]) for one in values)
             for group, values in zip(scene.groups, readings, strict=True)
@@ -410,13 +418,17 @@ class SingleWorld:
         return self._subscenes[slots]
 
     def _build_subscene(self, slots: frozenset[int]) -> SubScene:
-        found: list[tuple[int, np.ndarray]] = []
+        found: list[tuple[int, np.ndarray | None]] = []
+        groups: list[RobotGroup] = []
         for i, group in enumerate(self.scene.groups):
             some = [member for member, slot in enumerate(group.slots.tolist()) if slot in slots]
-            if some:
+            if len(some) == len(group.slots):
+                found.append((i, None))
+                groups.append(group)
+            elif some:
                 found.append((i, np.array(some)))
-        groups = tuple(self.scene.groups[i].part(some) for i, some in found)
-        return self.scene.with_robots(self.scene.model, self.scene.roster, groups), found
+                groups.append(group.part(np.array(some)))
+        return self.scene.with_robots(self.scene.model, self.scene.roster, tuple(groups)), found
 
     def _replace_members(self, group: int, members: Any, **fields: Any) -> None:  # noqa: ANN401 - what indexes, PyTrees
         """Replace fields of the states of some robots of a group."""

@@ -305,7 +305,8 @@ def battery_left(scene: Scene, world: World, group: RobotGroup, state: GroupStat
 
 def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
     """Return which robots of a group are in use and have a battery that lasts (n,)."""
-    return state.active & (battery_left(scene, world, group, state) > 0)
+    age = clock_of(scene, world).since(state.battery_start)
+    return state.active & ~state.drowned & (group.robot.battery_life - age > 0)
 
 
 @named_scope("compute_inputs")

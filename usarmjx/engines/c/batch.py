@@ -240,7 +240,8 @@ def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
 
 def buffer_warnings(data: mujoco.MjData) -> int:
     """Return how often this data's contact or constraint buffer was full."""
-    return int(data.warning.number[BUFFER_WARNINGS].sum())
+    counts = data.warning.number
+    return sum(int(counts[kind]) for kind in BUFFER_WARNINGS)
 
 
 def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> None:

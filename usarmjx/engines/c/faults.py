@@ -11,6 +11,7 @@ residual; with `mjDSBL_WARMSTART` by no bit.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -65,12 +66,21 @@ def _fast_robots(
     """Return the slots of robots with too fast a chassis; arguments as for `faulty_robots`."""
     if not indices:
         return frozenset()
-    dof = np.array([index.root_dofadr for index in indices.values()])[:, None] + np.arange(3)
+    dof = _linear_dofs(tuple([index.root_dofadr for index in indices.values()]))
     with np.errstate(invalid="ignore", over="ignore"):
-        speed = np.linalg.norm(data.qvel[dof], axis=-1)
+        velocity = data.qvel[dof]
+        speed = np.sqrt(np.add.reduce(velocity * velocity, -1))
         # Negated, because NaN compares false.
         fast = ~(speed <= np.array([limits[slot] for slot in indices]))
+    if not np.count_nonzero(fast):
+        return frozenset()
     return frozenset(slot for slot, is_fast in zip(indices, fast.tolist(), strict=True) if is_fast)
+
+
+@lru_cache(maxsize=64)
+def _linear_dofs(firsts: tuple[int, ...]) -> np.ndarray:
+    """Return the degrees of freedom of linear motion of bodies with those first ones (bodies, 3)."""
+    return np.array(firsts)[:, None] + np.arange(3)
 
 
 def step_and_recover(
@@ -225,7 +235,11 @@ def _saved(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 def _is_finite(*arrays: np.ndarray) -> bool:
     """Return whether all numbers are within MuJoCo's range of valid numbers."""
-    return all(np.abs(values).max(initial=0.0) <= mujoco.mjMAXVAL for values in arrays)
+    most = mujoco.mjMAXVAL
+    # The sum of squares is one quick call, and false if a number is not finite; most states end there.
+    return all(
+        np.vdot(values, values) <= most * most or np.abs(values).max(initial=0.0) <= most for values in arrays
+    )
 
 
 def _state_and_inputs(data: mujoco.MjData) -> tuple[np.ndarray, ...]:

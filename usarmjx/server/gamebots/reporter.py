@@ -86,7 +86,7 @@ class Reporter:
             return
         for index in range(len(robot.suite.sensors)):
             if index in robot.pending:
-                self._send_reading(robot, index, robot.pending.pop(index))
+                self._send_reading(robot, index, robot.pending.pop(index), time)
         if robot.spec.packages:
             scene = world.scene
             group, member = scene.group_of(robot.slot)
@@ -99,7 +99,7 @@ class Reporter:
             for message in gripper_reports(robot):
                 self._session.send(message)
 
-    def _send_reading(self, robot: Robot, index: int, reading: np.ndarray) -> None:
+    def _send_reading(self, robot: Robot, index: int, reading: np.ndarray, time: float) -> None:
         """Send a sensor's reading; one that makes no message is left out, and the log reports that once."""
         sensor, world = robot.suite.sensors[index], self._world
         try:
@@ -107,10 +107,10 @@ class Reporter:
             if isinstance(sensor, ObjectSensor):
                 stamped = stamped or sensor.settings[0].with_time_stamp
                 met = world.met_objects(robot, index)
-                message = objects_report(sensor, met, world.time if stamped else None)
+                message = objects_report(sensor, met, time if stamped else None)
             else:
                 message = sensor_report(
-                    sensor, reading, world.time, world.arena.gps, world.tag_texts, stamped=stamped
+                    sensor, reading, time, world.arena.gps, world.tag_texts, stamped=stamped
                 )
             if message is not None:
                 self._session.send(message)

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence, Set
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -57,12 +57,12 @@ _FORMATS: dict[str, Callable[[Sequence[float]], str]] = {
 """Text of each of `sensors.quantities.FORMS`, in the wire's axes."""
 
 
-def lookup_by_type(sensor: Sensor, table: Mapping[str, T]) -> T | None:
-    """Return the entry of a sensor's type, or of the nearest base class that has one.
+def lookup_by_type(kind: type[Sensor], table: Mapping[str, T]) -> T | None:
+    """Return the entry of a sensor type, or of the nearest base class that has one.
 
     None: there is none, or a nearer class declares its own quantities.
     """
-    for base in type(sensor).__mro__:
+    for base in kind.__mro__:
         own = vars(base)
         if own.get("quantities"):
             return None
@@ -299,6 +299,12 @@ Fov and Paning are spelled so in those lines.
 """
 
 
+@cache
+def _report_of(kind: type[Sensor]) -> Callable[[Any, np.ndarray, float | None], Message | None]:
+    """Return what makes the SEN of a sensor type."""
+    return lookup_by_type(kind, REPORTS) or generic_report
+
+
 def sensor_report(
     sensor: Sensor,
     value: np.ndarray,
@@ -320,7 +326,7 @@ def sensor_report(
         texts: Memory of RFID tags.
         stamped: Whether to add the time regardless of the sensor's setting.
     """
-    report = lookup_by_type(sensor, REPORTS) or generic_report
+    report = _report_of(type(sensor))
     if report is _gps:
         report = partial(_gps, origin=origin)
     elif report is victims.tags:
@@ -399,7 +405,7 @@ def geometry(
 def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
     settings: Any = sensor.settings[index]
     fields: list[ConfField] = [("Name", sensor.mounts[index].name)]
-    known = lookup_by_type(sensor, CONFIGURATION)
+    known = lookup_by_type(type(sensor), CONFIGURATION)
     if known is None:
         fields += generic_fields(settings)
     for key, field in known or ():

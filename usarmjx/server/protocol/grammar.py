@@ -314,7 +314,8 @@ def four_decimals(value: float) -> str:
     Raises:
         UsageError: The value is not finite.
     """
-    return four_decimals_list((value,))
+    _require_finite(value)
+    return f"{math.copysign(int(abs(value) * 10_000 + _CUT_MARGIN) / 10_000, value):.4f}"
 
 
 def two_decimals(value: float) -> str:

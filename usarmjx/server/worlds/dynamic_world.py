@@ -198,13 +198,13 @@ class DynamicWorld(ServedWorld):
 
     def observe(self, due: list[Robot]) -> None:
         """Read the sensors of the robots that are about to report."""
-        readings = self._single.observe(robot.slot for robot in due)
+        readings, time = self._single.observe(robot.slot for robot in due), self.time
         for robot in due:
             group, member = self.scene.group_of(robot.slot)
             robot.drowned = bool(self._single.world.groups[group].drowned[member])
             for sensor, reading in enumerate(readings[robot.slot]):
                 if reading.fresh:
-                    store_reading(self, robot, sensor, np.asarray(reading.value))
+                    store_reading(self, robot, sensor, np.asarray(reading.value), time)
 
     def met_objects(self, robot: Robot, sensor: int) -> list[MetObject]:
         """Return the objects that the beams of a robot's scanner meet."""

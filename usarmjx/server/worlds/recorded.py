@@ -99,9 +99,19 @@ def _links(world: "ServedWorld", radio: RadioSettings | None) -> Links | None:
     return world.links(radio)
 
 
-def store_reading(world: "ServedWorld", robot: "Robot", sensor: int, value: np.ndarray) -> None:
-    """Store the reading of a sensor, by index in the suite, for the next report."""
+def store_reading(
+    world: "ServedWorld", robot: "Robot", sensor: int, value: np.ndarray, time: float | None = None
+) -> None:
+    """Store the reading of a sensor, by index in the suite, for the next report.
+
+    Args:
+        world: The world.
+        robot: The robot.
+        sensor: Index of its sensor.
+        value: The reading.
+        time: Time of the world, if it is known already [s].
+    """
     robot.pending[sensor] = value
-    robot.latest[sensor] = world.time, value
+    robot.latest[sensor] = world.time if time is None else time, value
     if world.recorder is not None:
         world.recorder.read(robot.slot, sensor, value)
