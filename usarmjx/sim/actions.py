@@ -67,7 +67,13 @@ class Actions:
 
 @named_scope("apply_actions")
 def apply_actions(
-    scene: Scene, world: World, physics: PhysicsState, actions: Actions, where: Array | None = None
+    scene: Scene,
+    world: World,
+    physics: PhysicsState,
+    actions: Actions,
+    where: Array | None = None,
+    *,
+    all_send: bool = False,
 ) -> World:
     """Return one world with the orders given and the messages sent; old mail has been read by now.
 
@@ -77,6 +83,7 @@ def apply_actions(
         physics: Its physics.
         actions: Commands to its robots.
         where: Mask of the robots that receive them, by slot (robots,); None: all.
+        all_send: Let the others send their messages all the same.
 
     Raises:
         UnknownNameError: A DRIVE key, joint, effecter or operation that the robots do not have.
@@ -93,7 +100,7 @@ def apply_actions(
         world = world.replace(mail=world.mail.replace(count=xp.zeros_like(world.mail.count)))
     messages = actions.messages
     if messages is not None:
-        if where is not None:
+        if where is not None and not all_send:
             messages = messages.replace(receivers=messages.receivers & where[:, None])
         world = world.replace(mail=send(scene, world, messages))
     return world

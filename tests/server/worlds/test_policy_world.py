@@ -1,7 +1,7 @@
 """A served world whose robots a policy drives, and clients that take some of them over."""
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -12,6 +12,8 @@ import pytest
 from tests.scripts import load
 from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
+from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.comms.mail import MessageSettings, OutgoingMessages
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.server import BotServer
@@ -27,6 +29,8 @@ from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyFollower, Poli
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, StepResult, Task, TeamMaps
+from usarmjx.train.tasks.soccer import Soccer
+from usarmjx.train.tasks.team import TeamTask
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX
 
 P2AT = ROBOTS.get("P2AT")
@@ -73,6 +77,31 @@ class Remember(Roll):
 
     def evaluate(self, view, memory):
         return StepResult(memory, (jnp.zeros(2),), jnp.zeros((), bool), memory, {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Roll):
+    """Each robot tells the other its number by radio; the memory is who was heard after the last action."""
+
+    def start(self, view, key):
+        return jnp.zeros(2)
+
+    def act(self, view, memory, actions):
+        numbers = jnp.arange(2.0)[:, None] + 1
+        others, size = ~jnp.eye(2, dtype=bool), jnp.full(2, 4)
+        messages = OutgoingMessages(receivers=others, payload=numbers, size_bytes=size)
+        return replace(super().act(view, memory, actions), messages=messages)
+
+    def evaluate(self, view, memory):
+        heard = jnp.where(view.world.mail.count > 0, view.world.mail.payload[:, 0, 0], 0.0)
+        return StepResult(heard, (jnp.zeros(2),), jnp.zeros((), bool), heard.sum(), {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportItself(Report):
+    """The same, whoever drives."""
+
+    reports_itself: ClassVar[bool] = True
 
 
 @pytest.fixture(scope="module")
@@ -140,6 +169,36 @@ def test_a_task_that_decides_remembers_the_actions_of_the_policy():
     run(world, 1.0)
     np.testing.assert_allclose(went(world, 1.0), SPEED, rtol=0.05)  # wheels slip a little
     assert world.score == pytest.approx(SHARE)
+
+
+@pytest.mark.parametrize(("kind", "heard"), [(ReportItself, [2.0, 1.0]), (Report, [0.0, 1.0])])
+def test_a_robot_that_a_client_drives_reports_if_the_task_does_not_let_the_policy_speak(kind, heard):
+    task = kind(
+        sensors=("GroundTruth",),
+        physics=Physics(timestep=0.01, substeps=5),
+        repeat=4,
+        radio=RadioSettings(),
+        mail=MessageSettings(numbers=1, capacity=1, bytes_per_step=4),
+    )
+    policy = Policy(
+        initial_carry=jnp.zeros, act=lambda memory, obs, key: (memory, (jnp.zeros((*obs[0].shape[:2], 2)),))
+    )
+    world = PolicyWorld(PolicyBatch(Env(task, 1, engine="c"), policy))
+    world.warm_up()
+    run(world, 1.0)
+    assert world.policy_batch.task_memory(0).tolist() == [2.0, 1.0]
+    # The robot of slot 1: what slot 0 hears is its number, 2.
+    name = next(name for name, slot in world.agents().items() if slot == 1)
+    world.spawn(P2AT, name, LEVEL, LEVEL)
+    run(world, 1.0)
+    assert world.policy_batch.task_memory(0).tolist() == heard
+    assert world.score == sum(heard)
+
+
+def test_teams_report_whoever_drives():
+    assert TeamTask.reports_itself
+    assert Soccer.reports_itself
+    assert not Task.reports_itself
 
 
 def test_a_robot_is_taken_over_by_its_name_where_it_is_and_given_back(world):

@@ -371,8 +371,12 @@ class PolicyBatch(SharedBatch):
         claimed: Array,
     ) -> tuple[World, Any]:
         """Apply actions to the robots that no client has claimed (robots,); return the task's memory, too."""
-        commands, memory = command(self.env.task, view, memory, actions)
-        return apply_actions(self.env.scene, view.world, view.physics, commands, where=~claimed), memory
+        task, scene = self.env.task, self.env.scene
+        commands, memory = command(task, view, memory, actions)
+        sends = task.reports_itself
+        return apply_actions(
+            scene, view.world, view.physics, commands, where=~claimed, all_send=sends
+        ), memory
 
     def _advance(
         self, parts: Parts, before: PolicyState, keys: jax.Array, again: Array

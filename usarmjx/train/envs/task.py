@@ -203,6 +203,8 @@ class Task(ABC):
     needs_solver: ClassVar[str] = ""
     decides: ClassVar[bool] = False
     """Whether the task remembers actions, see `decide`."""
+    reports_itself: ClassVar[bool] = False
+    """Whether no message of `act` depends on actions: robots that clients drive send theirs, too."""
 
     arena: Arenas = "floor"
     sensors: tuple[str | Mount, ...] | None = None

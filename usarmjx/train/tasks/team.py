@@ -313,6 +313,7 @@ class TeamTask(Task):
             same whenever it comes.
     """
 
+    reports_itself: ClassVar[bool] = True
     reports: ClassVar[bool] = False
     """Whether robots that send each other nothing still send to the base."""
 
