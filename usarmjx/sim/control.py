@@ -499,6 +499,15 @@ def _surge_speeds(servos: Servos, period: float) -> np.ndarray:
     return SURGE_SHARE * servos.surge * (servos.lead + period / 2)
 
 
+def _windup_limit(servos: Servos, vel: Array, brakes: Array | None) -> Array:
+    """Return how far targets may be ahead of joints at their speeds, and at the brakes (..., actuators)."""
+    limit = servos.windup_limit
+    if servos.stalls:
+        slow = xp.clip(1.0 - xp.abs(vel) / STALL_SPEED, 0.0, 1.0)
+        limit = limit + slow * servos.stall_limit
+    return limit if brakes is None else xp.where(brakes, servos.brake_limit, limit)
+
+
 def _servo(
     plan: KinematicTree,
     targets: tuple[Array, Array],
@@ -513,19 +522,13 @@ def _servo(
     """
     actuated, servos = actuated_servos(plan)
     q, v, target, mode = (x[..., actuated] for x in (state.joint_pos, state.joint_vel, *targets))
-    speed, torque, windup_limit = servos.speed, servos.torque, servos.windup_limit
-    where, clip = xp.where, xp.clip
+    speed, low, high, where, clip = servos.speed, servos.low, servos.high, xp.where, xp.clip
     brakes = (mode == VELOCITY) & (target == 0.0) & servos.has_brake if servos.brakes else None
-    if servos.stalls:
-        slow = clip(1.0 - xp.abs(v) / STALL_SPEED, 0.0, 1.0)
-        windup_limit = windup_limit + slow * servos.stall_limit
-    if brakes is not None:
-        windup_limit = where(brakes, servos.brake_limit, windup_limit)
-    torque, windup_limit = (_scaled(one, conditions.torque) for one in (torque, windup_limit))
+    limits = servos.torque, _windup_limit(servos, v, brakes)
+    torque, windup_limit = (_scaled(one, conditions.torque) for one in limits)
     if conditions.speed is not None:
         speed = _scaled(speed, conditions.speed)
         target = where(mode == VELOCITY, _scaled(target, conditions.speed), target)
-    low, high = servos.low, servos.high
     # At this target spring and damper of the servo cancel at the present speed.
     balance = q + servos.lead * v
     held = xp.ones_like(act, dtype=bool) if conditions.hold is None else conditions.hold > 0.0
