@@ -65,7 +65,7 @@ def arange(*bounds: Any, dtype: DTypeLike | None = None) -> NumPyArray:  # noqa:
 
 def where(condition: ArrayLike, yes: Any, no: Any) -> NumPyArray:  # noqa: ANN401 - numbers or arrays
     """As `jnp.where`."""
-    made = np.where(condition, yes, no)
+    made = cast(NumPyArray, np.where(condition, yes, no))
     # Served worlds call it thousands of times a second: the letter of a type is found sooner than its entry.
     return made.astype(SINGLE[made.dtype]) if made.dtype.char in "dlq" else made
 

@@ -340,9 +340,9 @@ def compute_inputs(
             state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
         awake = powered(scene, world, group, state)
         factors = {name: _group_values(world, group, name) for name in ("torque", "speed")}
-        own = {"hold": state.hold, "stiffness": state.stiffness, "depth": depth, **factors}
+        own = {"hold": state.hold, "stiffness": state.stiffness, **factors}
         step = xp.broadcast_to(clock.step, awake.shape)
-        now = DriveConditions(step=step, powered=awake, solved=solved, **own)
+        now = DriveConditions(step=step, powered=awake, depth=depth, solved=solved, **own)
         command, state = _delayed_command(world, group, state)
         driven = compute_actuation(
             group.plan, command, robots, physics.act[group.actadr], now, scene.physics.period
