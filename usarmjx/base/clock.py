@@ -7,8 +7,7 @@ from types import ModuleType
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, ArrayLike, xp
 from usarmjx.base.nodes import Node
 
 LONGEST_INTERVAL = 2**30

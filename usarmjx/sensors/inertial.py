@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting

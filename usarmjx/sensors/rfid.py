@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_at, xp
+from usarmjx.base.backend import Array, set_at, xp
 from usarmjx.base.nodes import Node
 from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses

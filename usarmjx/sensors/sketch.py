@@ -1,7 +1,6 @@
 """Overlays that sensors draw into camera pictures (manual 10.9.2, 10.10.2)."""
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.nodes import Node
 
 

@@ -10,8 +10,7 @@ import jax
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import known_all, known_none, named_scope, xp
+from usarmjx.base.backend import Array, ArrayLike, known_all, known_none, named_scope, xp
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import mat_from_quat, matvec

@@ -12,8 +12,7 @@ import jax
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import Part, known_all, named_scope, on_numpy, set_rows, vmap, xp
+from usarmjx.base.backend import Array, Part, known_all, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.clock import Clock
 from usarmjx.base.nodes import Node
 from usarmjx.comms.links import Links

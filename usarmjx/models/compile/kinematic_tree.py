@@ -12,8 +12,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.nodes import Node
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Vec3

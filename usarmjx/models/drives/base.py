@@ -11,8 +11,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, ArrayLike, xp
 from usarmjx.base.nodes import Node
 
 

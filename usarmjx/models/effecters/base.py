@@ -10,8 +10,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.nodes import Node
 from usarmjx.base.registry import Registry
 from usarmjx.base.settings import NOT_NEGATIVE, Parameters, Setting

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Array
 from usarmjx.base.nodes import Node
 from usarmjx.models.compile.compose import ARENA_PREFIX as ARENA_NAMES
 from usarmjx.models.compile.compose import DOOR_PREFIX, LOOSE_PREFIX, VICTIM_PREFIX

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from usarmjx.base.arrays import Array
-from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.nodes import Node
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.arena import Light

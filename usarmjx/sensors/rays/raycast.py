@@ -19,8 +19,7 @@ from flax import struct
 from jax.custom_batching import custom_vmap
 from jaxtyping import Bool, Float, Int
 
-from usarmjx.base.arrays import Array, Bool, Float, Int
-from usarmjx.base.backend import xp
+from usarmjx.base.backend import Array, xp
 from usarmjx.base.nodes import Node
 from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
