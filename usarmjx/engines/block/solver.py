@@ -108,9 +108,9 @@ VARIANTS = {
     ),
 }
 """Size classes by name, to be compared."""
-CLASSES = VARIANTS["registers-128"]
-"""Size classes of islands, the smallest first. Most robots on flat ground are of the first: 12 degrees of
-freedom and eight contacts."""
+CLASSES = VARIANTS["objects"]
+"""Size classes of islands, the smallest first. Loose objects are of the first, most robots on flat ground of
+the second: 12 degrees of freedom and eight contacts."""
 
 _MUJOCO: Any = mujoco  # more of its constants than its stubs have
 _ROW, _STATE = _MUJOCO.mjtConstraint, _MUJOCO.mjtConstraintState
