@@ -4,7 +4,9 @@ import gc
 import logging
 import os
 import shutil
+import sys
 import tempfile
+import threading
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import hypothesis
 import jax
 import pytest
 from jax._src import compilation_cache
+from jax._src.interpreters import mlir
 
 from tests.offline import cut_network
 from tests.program_cache import folder_of_programs, limit_kept
@@ -22,6 +25,9 @@ MUCH = 2.5e9
 
 ASKED = pytest.StashKey[Path]()
 """File of what was asked of other machines."""
+
+MODULES_OF_A_CONTEXT = 200
+"""Programs that are lowered in one MLIR context: it keeps all types and constants that it has met."""
 
 IN_ONE_PIECE = "--xla_cpu_parallel_codegen_split_count=1"
 """XLA flag of the tests, in addition to `fast_compilation_flags`."""
@@ -52,6 +58,22 @@ def write_whole_entries(folder: str) -> None:
     compilation_cache.LRUCache.put = put
 
 
+def share_contexts() -> None:
+    """Let the programs that a thread lowers share an MLIR context: a new one for each takes 4 ms of the CPU.
+
+    The tests compile ten programs in a second, most of them one operation.
+    """
+    usual, own = mlir.make_ir_context, threading.local()
+
+    def make_ir_context() -> mlir.ir.Context:
+        own.lowered = getattr(own, "lowered", 0) + 1
+        if own.lowered % MODULES_OF_A_CONTEXT == 1:
+            own.context = usual()
+        return own.context
+
+    mlir.make_ir_context = make_ir_context
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of the runs that compile as users do, and with JAX in double precision."""
     parser.addoption("--optimised", action="store_true", help="compile with XLA's default optimisation")
@@ -75,6 +97,7 @@ def pytest_configure(config: pytest.Config) -> None:
     limit_kept(os.environ)
     folder = str(folder_of_programs(os.environ, Path(own.name)))
     write_whole_entries(folder)
+    share_contexts()
     # Nothing is downloaded at run time, so no test may reach another machine.
     config.stash[ASKED] = Path(own.name) / "asked-of-others"
     config.stash[ASKED].touch()
@@ -82,9 +105,13 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["USARMJX_CACHE"] = "off"
     os.environ["USARMJX_QUIET"] = "1"
     os.environ["JAX_COMPILATION_CACHE_DIR"] = folder  # for programs that tests start
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+    # To read a small program takes a quarter of the time of compiling it, and most are small.
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     jax.config.update("jax_compilation_cache_dir", folder)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    # Else each program that tests start, and each run, would parse all sources and rewrite asserts again.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
 
 
 @pytest.hookimpl(wrapper=True)
