@@ -14,8 +14,7 @@ import warp
 
 from tests.engines.test_block import MECHANISM
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.launch_replay import MOST_RECORDINGS, LaunchReplay
-from usarmjx.engines.mjx_warp import WarpEngine
+from usarmjx.engines.mjx_warp import MOST_RECORDINGS, LaunchReplay, WarpEngine
 from usarmjx.models.compile.physics import Physics
 
 WORLDS, STEPS = 2, 24

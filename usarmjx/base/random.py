@@ -3,13 +3,16 @@
 On JAX they are `jax.random`'s: Threefry-2x32 with 20 rounds (Salmon et al., "Parallel random numbers: as easy
 as 1, 2, 3", SC 2011) in counter mode. On NumPy a key is its two words; uniform numbers and keys agree to the
 bit, normal numbers within a few units in the last place because the logarithm differs.
+
+`RandomStream` draws what generated arenas are made of, the same with every version of NumPy.
 """
 
 import math
 import operator
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import Any, SupportsIndex
+from typing import Any, SupportsIndex, TypeVar
+from zlib import crc32
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +21,7 @@ import numpy as np
 from usarmjx.base.backend import Array, Key, on_numpy
 from usarmjx.base.errors import UsageError
 
+T = TypeVar("T")
 THREEFRY_PARITY = 0x1BD11BDA
 """Key schedule constant of Threefry-2x32."""
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
@@ -278,3 +282,46 @@ def _threefry_of_arrays(k0: np.ndarray, k1: np.ndarray, number: np.ndarray) -> t
         x0 += keys[(group + 1) % 3]
         x1 += keys[(group + 2) % 3] + np.uint32(group + 1)
     return x0, x1
+
+
+POOL_SIZE = 512
+"""Number of draws that are made at once."""
+
+
+class RandomStream:
+    """A stream of random integers, the same on every machine and with every version of NumPy.
+
+    NumPy guarantees the bits of its bit generators, but not the output of its `Generator`; so the integers
+    here are made of the bits directly.
+
+    Args:
+        seed: The arena's seed, not negative.
+        purpose: Purpose of the draws: streams of different purposes do not disturb each other.
+    """
+
+    def __init__(self, seed: int, purpose: str) -> None:
+        # crc32, as Python's own hash of a text differs between processes.
+        self._bits = np.random.PCG64(np.random.SeedSequence([seed, crc32(purpose.encode())]))
+        self._pool: list[int] = []
+
+    def randint(self, count: int) -> int:
+        """Return an integer from 0 to below `count`."""
+        if not self._pool:
+            self._pool = self._bits.random_raw(POOL_SIZE).tolist()
+        return self._pool.pop() % count  # the bias of the remainder is below count / 2**64
+
+    def randint_between(self, low: int, high: int) -> int:
+        """Return an integer from `low` to `high`, both included."""
+        return low + self.randint(high - low + 1)
+
+    def choice(self, options: Sequence[T]) -> T:
+        """Return one of the options."""
+        return options[self.randint(len(options))]
+
+    def shuffled(self, items: Sequence[T]) -> list[T]:
+        """Return the items in a random order."""
+        mixed = list(items)
+        for i in range(len(mixed) - 1, 0, -1):
+            j = self.randint(i + 1)
+            mixed[i], mixed[j] = mixed[j], mixed[i]
+        return mixed

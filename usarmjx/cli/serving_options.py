@@ -421,8 +421,7 @@ def make_servers(
     If one world of a batch of one roster is served, its terminal can choose another while it runs.
     """
     from usarmjx.server.gamebots.server import BotServer
-    from usarmjx.server.runtime.instance_selector import InstanceSwitch
-    from usarmjx.server.worlds.batch_world import BatchWorld
+    from usarmjx.server.worlds.batch_world import BatchWorld, InstanceSwitch
 
     titles = [f"world {number}" for number in instances] if len(instances) > 1 else [""]
     servers: list[BotServer] = []

@@ -11,14 +11,18 @@ import numpy as np
 
 from usarmjx.base import process
 from usarmjx.base.backend import Array
+from usarmjx.base.installation import without_notes
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
-from usarmjx.engines.mjx_import import collision_driver, mjx
 from usarmjx.models.compile.compose import ARENA, WORLD, split_long_boxes
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
+
+with without_notes():  # on the standard output: that Warp is missing
+    from mujoco import mjx
+    from mujoco.mjx._src import collision_driver
 
 MORE_ITERATIONS = 30
 """Solver iterations at least, if one of the next two limits is exceeded. The solver still stops as soon as it

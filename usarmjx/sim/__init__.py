@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from usarmjx.sim.actions import Actions as Actions
     from usarmjx.sim.actions import EffecterAction as EffecterAction
     from usarmjx.sim.actions import JointAction as JointAction
-    from usarmjx.sim.annotation import Annotator as Annotator
+    from usarmjx.sim.batch import Annotator as Annotator
     from usarmjx.sim.batch import Batch as Batch
     from usarmjx.sim.batch import BatchState as BatchState
     from usarmjx.sim.batch import Readings as Readings
@@ -36,8 +36,7 @@ else:
         __name__,
         {
             "usarmjx.sim.actions": ("Actions", "EffecterAction", "JointAction"),
-            "usarmjx.sim.annotation": ("Annotator",),
-            "usarmjx.sim.batch": ("Batch", "BatchState", "Readings", "put_robot"),
+            "usarmjx.sim.batch": ("Annotator", "Batch", "BatchState", "Readings", "put_robot"),
             "usarmjx.sim.calibration": ("calibrate", "ensure_calibrated"),
             "usarmjx.sim.control": ("CommandUpdate", "ControlMode"),
             "usarmjx.sim.operate": ("OperationResult",),

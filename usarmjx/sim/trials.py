@@ -18,6 +18,7 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.random import RandomStream
 from usarmjx.base.settings.json_file import as_mapping, read_json
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.arenas.lanes import MobilityLane, lane_of
@@ -32,7 +33,6 @@ from usarmjx.models.compile.reachability import (
 )
 from usarmjx.models.drives.base import drive_values
 from usarmjx.models.generate.obstacles import CROSSINGS_FILE, OBSTACLES, SuccessCurve, obstacle_height
-from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import Position2D

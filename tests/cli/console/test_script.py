@@ -15,8 +15,7 @@ from tests.server.peers import PATIENCE, serving
 from tests.server.still_world import CLASS, StillWorld, init
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.app import app
-from usarmjx.cli.console.client import NOTE, RECEIVED, SENT, Transcript, parse_place
-from usarmjx.cli.console.script import LONGEST_SLEEP
+from usarmjx.cli.console.client import LONGEST_SLEEP, NOTE, RECEIVED, SENT, Transcript, parse_place
 from usarmjx.server.network.access import AccessRules
 
 GREETING = "NFO {Gametype BotDeathMatch} {Level flat} {TimeLimit 0}"

@@ -12,8 +12,8 @@ import dev
 from tests.models.files.test_arena_mjcf import composed, distances, original
 from usarmjx.base.errors import UsageError
 from usarmjx.models.files.arena_export import export_arena
-from usarmjx.models.files.export_pieces import rpy_of
 from usarmjx.models.files.load import find_arena, load_arena
+from usarmjx.models.files.robot_export import rpy_of
 from usarmjx.models.types.arena import ArenaSpec, Door, LooseObject, StartPose
 from usarmjx.models.types.shapes import SKY, HeightField, Mesh, Shape
 

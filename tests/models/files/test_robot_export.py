@@ -10,8 +10,7 @@ from tests.models.files.test_import_mjcf import composed
 from usarmjx.base.errors import UsageError
 from usarmjx.models import load_robot
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.files.export_pieces import rpy_of
-from usarmjx.models.files.robot_export import export_robot
+from usarmjx.models.files.robot_export import export_robot, rpy_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Motor, Part, RobotSpec
 from usarmjx.models.types.shapes import Mesh, Shape

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.rig import Rig
 from usarmjx.base.errors import SpecError, UnknownNameError
+from usarmjx.base.random import RandomStream
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.compose import ARENA_PREFIX, LOOSE_PREFIX, VICTIM_PREFIX, new_spec
@@ -23,7 +24,6 @@ from usarmjx.models.generate import KINDS, Difficulty, budget, generate, generat
 from usarmjx.models.generate.arena import FORMS
 from usarmjx.models.generate.obstacles import STOREY
 from usarmjx.models.generate.plan import CELL, WALL_HEIGHT
-from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.random import RandomStream
 from usarmjx.models.compile.reachability import DEFAULT_SLOPE, footprint_of, reach_map
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.obstacles import (
@@ -19,7 +20,6 @@ from usarmjx.models.generate.obstacles import (
     obstacle_height,
 )
 from usarmjx.models.generate.plan import CELL
-from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.trials import LEVELS, MIN_SUCCESS
 

@@ -24,8 +24,7 @@ from usarmjx.sensors.cameras.paint import (
 )
 from usarmjx.sensors.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint, annotate
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
-from usarmjx.sim.annotation import Annotator
-from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch import Annotator, Batch
 from usarmjx.sim.scene import build_scene
 
 WIDTH, HEIGHT, FOV = 24, 16, 1.2

@@ -21,10 +21,10 @@ from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.services import RosRobots
 from usarmjx.server.rosbridge.topics import TWIST, WorldTopics
-from usarmjx.server.runtime.instance_selector import InstanceSwitch
 from usarmjx.server.viewing.controls import PageRobots
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds import policy_world
+from usarmjx.server.worlds.batch_world import InstanceSwitch
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyFollower, PolicyWorld, newest, wait_for_run
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.train.envs.env import Env

@@ -13,9 +13,7 @@ from tests.train.toys import LineToy
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.baselines.goal import BugCarry, bug_action
-from usarmjx.train.baselines.roam import roam_action
-from usarmjx.train.baselines.steering import driver
+from usarmjx.train.baselines.driving import BugCarry, bug_action, driver, roam_action
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.evaluate import Episodes, evaluate_episodes, evaluation_of, run_episodes
 from usarmjx.train.evaluation.radio_matters import interval

@@ -22,7 +22,6 @@ from usarmjx.train.mapping.belief import SECTOR_COUNT, initial_belief
 from usarmjx.train.mapping.maps import MapGrid
 from usarmjx.train.mapping.planning import Goals
 from usarmjx.train.tasks.explore import Explore
-from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_features import (
     GOALS,
     OBSERVATION_SIZE,
@@ -31,6 +30,7 @@ from usarmjx.train.tasks.goal_features import (
     goal_features,
     mate_features,
 )
+from usarmjx.train.tasks.reporting_team import ExploreBase
 from usarmjx.train.tasks.team import PERFECT_RADIO
 
 OTHERS = 3

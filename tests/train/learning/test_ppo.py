@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.train.toys import DriveToy, small_config
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.networks import init_statistics
 from usarmjx.train.learning.ppo import _adapt, _shuffle, surrogate
 from usarmjx.train.learning.processes import ProcessGroup
-from usarmjx.train.learning.statistics import init_statistics
 from usarmjx.train.learning.train_state import critic_values
 
 CONFIG = small_config(num_worlds=16, rollout_length=8, num_minibatches=2, num_epochs=2)

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
-from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH, map_pyramid
+from usarmjx.train.tasks.goal_features import CHANNELS, LEVELS, WIDTH, map_pyramid
 
 CELL = 0.3
 GRID = MapGrid(low=(-2.0, 1.0), cell=CELL, shape=(45, 37))

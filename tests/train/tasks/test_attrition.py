@@ -9,8 +9,8 @@ import pytest
 
 from tests.train.rooms import begin, room
 from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.presence import arrival_actions, drawn_team
 from usarmjx.train.envs.task import TaskView
-from usarmjx.train.tasks.attrition import arrival_actions, drawn_team
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 STARTS = ((1.0, 1.0), (2.0, 1.0), (3.0, 1.0), (4.0, 1.0))

@@ -11,20 +11,22 @@ from usarmjx.base.errors import SpecError
 from usarmjx.train.mapping.belief import initial_belief
 from usarmjx.train.mapping.maps import MapGrid
 from usarmjx.train.mapping.planning import Goals
-from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH
 from usarmjx.train.tasks import TASKS
-from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_features import (
+    CHANNELS,
     FIRST_MATE,
     GOAL_NUMBERS,
     GOALS,
+    LEVELS,
     MATE_NUMBERS,
     OBSERVATION_SIZE,
     OBSERVED_MATES,
+    WIDTH,
     GoalView,
     goal_features,
     mate_features,
 )
+from usarmjx.train.tasks.reporting_team import ExploreBase
 
 TASK = TASKS.get("explore-v3")
 GRID = MapGrid(low=(0.0, 0.0), cell=0.3, shape=(40, 40))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usarmjx.train.baselines.meetings import courier_goal, has_courier, meeting_goal
+from usarmjx.train.baselines.planners import courier_goal, has_courier, meeting_goal
 from usarmjx.train.evaluation.yardsticks import measure_teams
 from usarmjx.train.tasks.goal_features import (
     FIRST_GOAL,

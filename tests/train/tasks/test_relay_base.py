@@ -9,7 +9,7 @@ import pytest
 
 from tests.train.rooms import play, room
 from usarmjx.train.baselines import PLANNERS
-from usarmjx.train.baselines.chain import AHEAD, LOST, STRONG, chain_goal
+from usarmjx.train.baselines.planners import AHEAD, LOST, STRONG, chain_goal
 from usarmjx.train.evaluation.yardsticks import play_team, task_to_play
 from usarmjx.train.make import build_env
 from usarmjx.train.tasks import TASKS
@@ -24,8 +24,7 @@ from usarmjx.train.tasks.goal_features import (
     OBSERVATION_SIZE,
 )
 from usarmjx.train.tasks.goal_team import HOLD
-from usarmjx.train.tasks.relay_base import DEEP, RelayBase
-from usarmjx.train.tasks.relay_chain import SIGNAL_SCALE
+from usarmjx.train.tasks.relay_chain import DEEP, SIGNAL_SCALE, RelayBase
 
 STARTS = ((0.6, 0.9), (1.8, 0.9), (3.0, 0.9))
 ENDS = ((0.6, 0.9), (2.7, 1.5), (5.1, 1.5))

@@ -13,7 +13,7 @@ from usarmjx.train.mapping.maps import MARK
 from usarmjx.train.mapping.wavefront import frontier
 from usarmjx.train.tasks import TASKS
 from usarmjx.train.tasks.goal_features import NEWS_SCALE, OBSERVATION_SIZE
-from usarmjx.train.tasks.search_base import LOOK_ANGLE, LOOK_RADIUS, LOOK_RANGE, SearchBase, in_view
+from usarmjx.train.tasks.reporting_team import LOOK_ANGLE, LOOK_RADIUS, LOOK_RANGE, SearchBase, in_view
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9))
 VICTIM, OTHER = (5.0, 1.5), (2.0, 1.5)

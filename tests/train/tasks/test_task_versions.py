@@ -13,7 +13,7 @@ from flax import struct
 from tests.train.rooms import begin, room, view_of
 from usarmjx.base.errors import UsageError
 from usarmjx.sim.world import FaultCounts
-from usarmjx.train.baselines.frontier import frontier_policy
+from usarmjx.train.baselines.planners import frontier_policy
 from usarmjx.train.envs import env
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import TaskState

@@ -13,7 +13,7 @@ from tests.train.rooms import DEPTH, WIDTH, _machine, begin, play, room, view_of
 from usarmjx.models.compile.randomization import RandomizedValues
 from usarmjx.models.compile.reachability import footprint_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.train.baselines.frontier import frontier_action, relay_policy
+from usarmjx.train.baselines.planners import frontier_action, relay_policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.mapping.belief import SECTOR_COUNT

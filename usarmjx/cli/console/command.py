@@ -102,7 +102,7 @@ def _run_script(
     pictures: PictureStream | None,
     files: PictureFiles | None,
 ) -> None:
-    from usarmjx.cli.console.script import read_script, run_script
+    from usarmjx.cli.console.client import read_script, run_script
 
     if pictures is not None and files is None:
         raise UsageError("--video with --script needs --save-pictures: there is no pane to show them in")

@@ -15,7 +15,8 @@ from usarmjx.models.compile.compose import DOOR_PREFIX, LOOSE_PREFIX, door_panel
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.ray_geoms import terrain_faces
 from usarmjx.models.compile.victims import segment_poses, victim_table
-from usarmjx.models.files.export_pieces import (
+from usarmjx.models.files.mjcf_solids import Pose, mat_of
+from usarmjx.models.files.robot_export import (
     ExportResult,
     add_child,
     add_pose,
@@ -26,7 +27,6 @@ from usarmjx.models.files.export_pieces import (
     text_of,
     write_file,
 )
-from usarmjx.models.files.mjcf_solids import Pose, mat_of
 from usarmjx.models.files.robot_source import unused_name
 from usarmjx.models.types.arena import ArenaSpec, Door, Light
 from usarmjx.models.types.shapes import OPAQUE, SKY, SURFACES, Rgba, Shape

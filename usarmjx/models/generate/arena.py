@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.random import RandomStream
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.compile.raster import half_lengths
 from usarmjx.models.compile.reachability import (
@@ -53,7 +54,6 @@ from usarmjx.models.generate.plan import (
     edge,
     middle,
 )
-from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.arena import (
     START_ELEVATION,
     ArenaSpec,

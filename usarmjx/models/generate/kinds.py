@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Annotated
 
+from usarmjx.base.random import RandomStream
 from usarmjx.base.registry import Registry
 from usarmjx.base.settings import SHARE, validate
 from usarmjx.models.generate import obstacles
 from usarmjx.models.generate.obstacles import MAX_OBSTACLE_SOLIDS, Maker
 from usarmjx.models.generate.plan import MAX_WALL_CELLS, Cell, CellGrid, Edge, edge
-from usarmjx.models.generate.random_stream import RandomStream
 
 MIN_WALL_PERCENT = {"maze": 40, "field": 10}
 """Share of a perfect maze's walls at wall density 0 [%]."""

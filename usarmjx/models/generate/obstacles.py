@@ -14,10 +14,10 @@ from functools import cache
 from importlib.resources import files
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.random import RandomStream
 from usarmjx.base.registry import Registry
 from usarmjx.models.compile.reachability import RobotFootprint
 from usarmjx.models.generate.plan import CELL, DIRECTIONS, THICKNESS, Cell, middle
-from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 STRUCTURE_SIZE = 1.1

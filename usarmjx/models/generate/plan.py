@@ -6,7 +6,7 @@ connected. Walls never cut the tree, so that every robot that fits between two w
 
 from collections.abc import Iterable, Iterator
 
-from usarmjx.models.generate.random_stream import RandomStream
+from usarmjx.base.random import RandomStream
 from usarmjx.models.types.shapes import Shape
 
 CELL = 1.2

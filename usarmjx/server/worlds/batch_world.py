@@ -4,10 +4,12 @@ The batch's shape is fixed, so INIT can only activate a parked robot of the requ
 parks it again. All worlds of the batch run on; only the served one has clients.
 """
 
+import asyncio
 import logging
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TextIO
 
 import jax
 import jax.numpy as jnp
@@ -397,3 +399,52 @@ def floor_correction(name: str, low: float, floor: float) -> float:
     if raised > 0:
         log.info("%s would start %.3f m inside the floor: raised", name, raised)
     return raised
+
+
+class InstanceSwitch:
+    """Reads numbers of worlds from a terminal; a `gamebots.server.Service`.
+
+    Args:
+        world: The served world.
+        worlds: Number of worlds in its batch.
+        stream: The terminal.
+    """
+
+    def __init__(self, world: BatchWorld, worlds: int, stream: TextIO = sys.stdin) -> None:
+        self._world, self._worlds, self._stream = world, worlds, stream
+        self._listening = False
+
+    async def start(self) -> list[str]:
+        """Listen, if the stream is a terminal."""
+        self._listening = self._stream.isatty()
+        if not self._listening:
+            return []
+        asyncio.get_running_loop().add_reader(self._stream, self._read)
+        return [f"another world: type its number, 0 to {self._worlds - 1}"]
+
+    def _read(self) -> None:
+        line = self._stream.readline()
+        if not line:  # the terminal has gone
+            self.stop()
+        elif line.strip():
+            self.select(line.strip())
+
+    def select(self, line: str) -> None:
+        """Serve the world of that number; log the reason if it cannot be served."""
+        try:
+            if not line.isdecimal():
+                raise UsageError(f"{line!r} is not the number of a world")
+            self._world.switch(int(line))
+        except UsageError as error:
+            log.warning("the world stays: %s", error)
+        else:
+            print(f"usarmjx: world {line} is served now", flush=True)
+
+    def tick(self) -> None:
+        """Do nothing."""
+
+    def stop(self) -> None:
+        """Stop listening."""
+        if self._listening:
+            self._listening = False
+            asyncio.get_running_loop().remove_reader(self._stream)

@@ -1,22 +1,27 @@
 """Policies written by hand, one for each task: what a trained one has to beat, and may imitate at first.
 
 Each is a function of one robot's observation, mapped over worlds and robots, and added to `BASELINES` below
-by its task's name; `steering` has what they share. They see what a policy observes and nothing else. Their
+by its task's name; `driving` and
+`planners` have what several share. They see what a policy observes and nothing else. Their
 scores are in docs/tasks.md: who changes one measures again. Begin with `climb.py`.
 """
 
 from collections.abc import Callable
 
 from usarmjx.base.registry import Registry
-from usarmjx.train.baselines.chain import chain_policy
 from usarmjx.train.baselines.climb import climb_policy
-from usarmjx.train.baselines.frontier import frontier_policy, relay_policy
-from usarmjx.train.baselines.goal import BugCarry, bug_action, bug_policy, initial_bug_carry
-from usarmjx.train.baselines.goals import reporting_policy, silent_policy
+from usarmjx.train.baselines.driving import BugCarry, bug_action, bug_policy, initial_bug_carry, roam_policy
 from usarmjx.train.baselines.hover import inspection_policy
-from usarmjx.train.baselines.meetings import courier_policy, rendezvous_policy
+from usarmjx.train.baselines.planners import (
+    chain_policy,
+    courier_policy,
+    frontier_policy,
+    relay_policy,
+    rendezvous_policy,
+    reporting_policy,
+    silent_policy,
+)
 from usarmjx.train.baselines.pursuit import pursuit_policy
-from usarmjx.train.baselines.roam import roam_policy
 from usarmjx.train.baselines.soccer import soccer_policy
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy

@@ -25,7 +25,7 @@ from usarmjx.base.estimates import Estimate, estimate_groups
 from usarmjx.base.tables import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES, PLANNERS
-from usarmjx.train.baselines.goals import reporting_policy
+from usarmjx.train.baselines.planners import reporting_policy
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas

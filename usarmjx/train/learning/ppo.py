@@ -25,9 +25,14 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import Memory
 from usarmjx.train.envs.task import Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.networks import ChoiceDistribution, apply_network, fold_all, fold_each
+from usarmjx.train.learning.networks import (
+    ChoiceDistribution,
+    apply_network,
+    fold_all,
+    fold_each,
+    update_statistics,
+)
 from usarmjx.train.learning.processes import PROCESS_AXIS
-from usarmjx.train.learning.statistics import update_statistics
 from usarmjx.train.learning.train_state import (
     ActorCriticParams,
     Networks,

@@ -21,10 +21,12 @@ from usarmjx.train.learning.networks import (
     Params,
     PolicyParams,
     SetNetwork,
+    Statistics,
     apply_network,
     init_network,
+    init_statistics,
+    normalise,
 )
-from usarmjx.train.learning.statistics import Statistics, init_statistics, normalise
 
 with extra("train"):
     import optax

@@ -173,7 +173,7 @@ def _layer_shapes(
     return {**wanted, "head/kernel": (width, out), "head/bias": (out,)}
 
 
-MAX_NORMALISED = 10.0  # as in `statistics`
+MAX_NORMALISED = 10.0  # as in `networks`
 MIN_STD = 0.01  # as in `networks`
 INVALID = -1e9  # as in `choices`
 Vector = np.ndarray

@@ -14,12 +14,10 @@ from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.convoy import Convoy
 from usarmjx.train.tasks.drive_to_goal import DriveToGoal
 from usarmjx.train.tasks.explore import Explore
-from usarmjx.train.tasks.explore_base import ExploreBase
 from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.hover_inspect import HoverInspect
-from usarmjx.train.tasks.relay_base import RelayBase
-from usarmjx.train.tasks.relay_chain import RelayChain
-from usarmjx.train.tasks.search_base import SearchBase
+from usarmjx.train.tasks.relay_chain import RelayBase, RelayChain
+from usarmjx.train.tasks.reporting_team import ExploreBase, SearchBase
 from usarmjx.train.tasks.soccer import Soccer
 from usarmjx.train.tasks.stairs import Stairs
 from usarmjx.train.tasks.team import TeamTask, range_lines

@@ -16,7 +16,7 @@ from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
-from usarmjx.train.envs.presence import Presence
+from usarmjx.train.envs.presence import Presence, drawn_team, remaining_robots
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, update_base_contact
 from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, to_robot_frame
@@ -30,16 +30,16 @@ from usarmjx.train.mapping.planning import (
     way_to,
     where_due,
 )
-from usarmjx.train.mapping.pyramid import CHANNELS, LEVELS, WIDTH, map_pyramid
 from usarmjx.train.mapping.wavefront import frontier
-from usarmjx.train.tasks.attrition import drawn_team, remaining_robots
 from usarmjx.train.tasks.equip import base_station, mapping_robot
 from usarmjx.train.tasks.goal_features import (
+    CHANNELS,
     CONTACT_SCALE,
     FRONTIERS,
     GOAL_NUMBERS,
     GOALS,
     KNOWN_SCALE,
+    LEVELS,
     MATE_AGE,
     MATE_NUMBERS,
     MATES,
@@ -49,11 +49,13 @@ from usarmjx.train.tasks.goal_features import (
     OWN_NUMBERS,
     TEAM_SCALE,
     TIME_SCALE,
+    WIDTH,
     GoalView,
     Mates,
     chosen_goal,
     goal_features,
     heard_of,
+    map_pyramid,
     mate_features,
     nearest_mates,
     sector_features,
@@ -160,7 +162,7 @@ class GoalTeam(TeamTask):
 
     Observation, in the robot's axes: see `goal_features`. Its size depends neither on the team nor on the
     building. The last 19 numbers say which goals are valid. With `observed=map` a picture of the robot's
-    whole map at three scales stands before them, see `mapping.pyramid`.
+    whole map at three scales stands before them, see `goal_features`.
 
     Robots that touch something pay for their contacts. Besides its part of the points, each robot gets `hint`
     times 100 times the share of the building that it was the first to see; this is not part of the score.

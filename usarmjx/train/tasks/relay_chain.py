@@ -1,4 +1,4 @@
-"""A chain of robots carries the radio of a base as far into a building as it can."""
+"""A chain of robots carries the radio of a base as far into a building as it can: by driving, or by goals."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.settings import AT_LEAST_ONE
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
 from usarmjx.comms.links import reachable
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.radio import world_radio
@@ -22,6 +22,7 @@ from usarmjx.train.mapping.maps import MapGrid, to_robot_frame
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, passable
 from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.equip import base_station, mapping_robot
+from usarmjx.train.tasks.goal_team import GoalTeam, Progress
 from usarmjx.train.tasks.team import POSITION_SCALE, TeamMemory, TeamTask, station_slot
 
 INWARD_COST = 3.0
@@ -204,3 +205,75 @@ def _outward(gap: jax.Array, squares: jax.Array) -> jax.Array:
     return jnp.where(
         open_, INWARD_COST * (outermost - gap) + NON_FRONTIER_COST * ~frontier(squares), UNREACHABLE
     )
+
+
+DEEP = 0.95
+"""Depth from which an oracle wants to be."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelayBase(GoalTeam):
+    """Keep the base connected while the front robot goes as far as it can, by choosing goals.
+
+    See `GoalTeam` for goals, actions and observations. The third goal is to stay where the robot is, in place
+    of the second robot. Links are observed as the power received above the cutoff (1: 20 dB), 0 without a
+    link. For an oracle the deepest twentieth of the building is a frontier. `hint` is 0: a reward for new
+    squares draws robots out of the chain.
+
+    Score: 100 times the mean over all steps of the depth of the deepest robot that reaches the base at that
+    moment, see `RelayChain`; less `price` for every contact.
+
+    Reward: the points that a step adds to the score, shared equally.
+    """
+
+    about: ClassVar[str] = "Robots choose goals to carry the radio of a base into a building."
+    holds: ClassVar[bool] = True
+
+    hint: Annotated[float, NOT_NEGATIVE] = 0.0
+
+    def nothing(self, view: TaskView, memory: TeamMemory) -> RelayChainState:
+        """Return the depths of the building."""
+        return first_chain(view, memory, self.arena_grid(view.scene))
+
+    def progress(self, view: TaskView, memory: TeamMemory, worth: jax.Array) -> Progress:
+        """Depth of the chain."""
+        del worth
+        scene, agents = view.scene, self.agents(view.scene)
+        chain, depths = chain_now(view, memory.extra.achieved, self.arena_grid(scene))
+        reach = jnp.where(chain.linked, depths, 0.0).max()
+        points = 100.0 * reach / self.episode_steps
+        return Progress(
+            achieved=chain,
+            points=points,
+            reward=jnp.full(scene.num_robots, points / len(agents)),
+            metrics={"reach": reach, "deepest": depths.max(), "connected": chain.linked[agents].mean()},
+        )
+
+    def signals(self, view: TaskView) -> jax.Array:
+        """Return the powers above the cutoff of links (robots, robots)."""
+        if view.world.links is None:
+            return super().signals(view)
+        return jnp.where(super().signals(view), jnp.maximum(power_margins(view), 0.0), 0.0)
+
+    def targets(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the deepest squares (i, j)."""
+        del view
+        return self.unfound(memory)
+
+    def unfound(self, memory: TeamMemory) -> jax.Array:
+        """Return the deepest squares (i, j)."""
+        return memory.reachable & (memory.extra.achieved.depth > DEEP)
+
+    def wanted(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return how deep the building is (i, j)."""
+        del view
+        return memory.extra.achieved.depth
+
+    def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Points for depth, and the contacts'."""
+        return {"depth": depth_points(series, self.episode_steps), **super().score_parts(series)}
+
+    @property
+    def most_points(self) -> dict[str, float]:
+        """The score if the deepest square were reached from the start."""
+        return {"depth": 100.0, **super().most_points}

@@ -16,7 +16,7 @@ from usarmjx.comms.links import reachable
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.sim.scene import RobotGroup, Scene
-from usarmjx.train.envs.presence import Presence, team_key
+from usarmjx.train.envs.presence import Presence, arrival_actions, drawn_team, remaining_robots, team_key
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
@@ -24,7 +24,6 @@ from usarmjx.train.mapping.belief import Belief, update_base_contact
 from usarmjx.train.mapping.maps import FREE, MARK, MapGrid, to_robot_frame
 from usarmjx.train.mapping.planning import VISITED_FRONTIER_COST
 from usarmjx.train.mapping.wavefront import UNREACHABLE, frontier
-from usarmjx.train.tasks.attrition import arrival_actions, drawn_team, remaining_robots
 from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.equip import base_station, flies, pose_sensor, victim_search_robot
 from usarmjx.train.tasks.team import (
