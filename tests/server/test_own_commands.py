@@ -5,7 +5,7 @@ import pytest
 from tests.server.peers import Peer, serving
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import UsageError
-from usarmjx.server.gamebots.own_commands import add_command
+from usarmjx.server.gamebots.adapter import add_command
 from usarmjx.server.protocol.command_parsers import COMMANDS
 from usarmjx.server.protocol.grammar import Message
 

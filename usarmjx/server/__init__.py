@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from usarmjx.base.lazy import attach
 
 if TYPE_CHECKING:
-    from usarmjx.server.gamebots.own_commands import CommandAction as CommandAction
-    from usarmjx.server.gamebots.own_commands import add_command as add_command
+    from usarmjx.server.gamebots.adapter import CommandAction as CommandAction
+    from usarmjx.server.gamebots.adapter import add_command as add_command
     from usarmjx.server.gamebots.sensors import configuration as configuration
     from usarmjx.server.gamebots.sensors import sensor_report as sensor_report
     from usarmjx.server.protocol.grammar import Message as Message
@@ -28,7 +28,7 @@ else:
     __getattr__, __dir__, __all__ = attach(
         __name__,
         {
-            "usarmjx.server.gamebots.own_commands": ("CommandAction", "add_command"),
+            "usarmjx.server.gamebots.adapter": ("CommandAction", "add_command"),
             "usarmjx.server.gamebots.sensors": ("configuration", "sensor_report"),
             "usarmjx.server.protocol.grammar": ("Message", "format_message", "parse_message"),
             "usarmjx.server.runtime.background": ("Serving", "serve"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.train.mapping.mazes import mazes
-from usarmjx.train.mapping import wavefront
+from usarmjx.train.mapping import fast_sweeping
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, shortest_path, spread_distances
 
 SHAPE = (19, 13)
@@ -18,7 +18,7 @@ def of_all(function):
 
 
 def test_swept_distances_are_those_of_a_wave(monkeypatch):
-    monkeypatch.setattr(wavefront, "MAPS_AT_A_TIME", 5)  # the last ones are not full
+    monkeypatch.setattr(fast_sweeping, "MAPS_AT_A_TIME", 5)  # the last ones are not full
     start, open_, toll, _ = mazes(SHAPE)
     swept = of_all(distances)(start, open_, toll)
     wave = of_all(partial(spread_distances, until=None))(start, open_, toll)

@@ -11,13 +11,8 @@ from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.train.mapping.mazes import mazes
 from tests.train.mapping.test_maps import labyrinth, shortest
 from usarmjx.train.mapping import wavefront
-from usarmjx.train.mapping.wavefront import (
-    UNREACHABLE,
-    distances,
-    path_on_jax,
-    spread_distances,
-    swept_distances,
-)
+from usarmjx.train.mapping.fast_sweeping import swept_distances
+from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, path_on_jax, spread_distances
 
 pytest.importorskip("warp", reason="needs warp-lang")
 import warp as wp

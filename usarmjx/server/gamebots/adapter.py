@@ -3,6 +3,8 @@
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
+from typing import TypeAlias
 
 from usarmjx.base.backend import ArrayLike
 from usarmjx.base.clock import wrapped_step
@@ -23,10 +25,11 @@ from usarmjx.server.gamebots.world_controller import CLASS_NAME, WorldController
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.arguments import read_parameters
-from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
+from usarmjx.server.protocol.command_parsers import COMMANDS
+from usarmjx.server.protocol.commands import LinkCommand, MisPkg, OwnCommand, TurnCamera
 from usarmjx.server.protocol.dialects import LATER_CLASSES, MANUAL, Dialect, told_class
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
-from usarmjx.server.protocol.grammar import AUTH, Message, clip, four_decimals, redact
+from usarmjx.server.protocol.grammar import AUTH, Message, check_word, clip, four_decimals, redact
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.runtime.logs import INTERVAL, FaultLog, summary
@@ -542,3 +545,21 @@ class Client:
         """Send the robot's reports, and log those that failed."""
         self._reporter.report(self._present)
         self.log_faults()
+
+
+CommandAction: TypeAlias = Callable[[ServedWorld, Robot, Message], Message | None]
+"""Action of a command: the world, the robot of the client, and its line; returns the answer, or None."""
+
+
+def add_command(head: str, action: CommandAction) -> None:
+    """Register a command with another head, for clients with a robot of all servers of this process.
+
+    Args:
+        head: The first word of the line, whose case is ignored.
+        action: Function of the world, the client's robot and the message; returns the answer or None. It
+            runs between two control steps, and everybody waits for it.
+
+    Raises:
+        UsageError: There is such a command already, or the head is not one word.
+    """
+    COMMANDS.add(check_word(head), partial(OwnCommand, action))

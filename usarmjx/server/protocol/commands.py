@@ -348,7 +348,7 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class OwnCommand:
-    """Command beyond the manual's (14.4.3), registered with `own_commands.add_command`.
+    """Command beyond the manual's (14.4.3), registered with `adapter.add_command`.
 
     Attributes:
         action: Function of the world, the robot and the message; returns the answer.

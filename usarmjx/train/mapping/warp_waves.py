@@ -15,7 +15,7 @@ import warp as wp
 
 from usarmjx.base.backend import Array
 from usarmjx.base.warp_functions import warp_function
-from usarmjx.train.mapping.wavefront import UNREACHABLE, of_one_map, over_maps
+from usarmjx.train.mapping.fast_sweeping import UNREACHABLE, of_one_map, over_maps
 
 # Nothing may be added in another order than JAX does: fast mathematics might.
 wp.set_module_options({"enable_backward": False, "fast_math": False})
