@@ -177,10 +177,10 @@ def test_a_toy_is_learned(kind, layout, tmp_path):
     """At random a robot is right in 1 of 3.5 choices."""
     sizes = {"network": kind, "hidden_sizes": (32, 32), "critic_hidden_sizes": (16, 16)}
     config = Config(
-        **{"num_worlds": 128, "rollout_length": 8, "num_minibatches": 4, "num_epochs": 4},
-        **{"learning_rate": 3e-3, "gamma": 0.5, "total_steps": 2048 * 14, "checkpoint_interval": 10, **sizes},
+        **{"num_worlds": 64, "rollout_length": 8, "num_minibatches": 4, "num_epochs": 4},
+        **{"learning_rate": 3e-3, "gamma": 0.5, "total_steps": 1024 * 14, "checkpoint_interval": 10, **sizes},
     )
-    env = ChoiceToy(128, layout=layout)
+    env = ChoiceToy(64, layout=layout)
     train(env, config, tmp_path / "run", progress=False)
     policy, params, _ = read_policy(tmp_path / "run", "last")
     found = evaluate_episodes(env, policy.as_policy(params), 256, seeds=(1000,))
