@@ -9,7 +9,9 @@ import pytest
 
 def run(code, nproc=None, cores=None):
     """Run code in a fresh process, with NPROC set so and that many cores to run on."""
-    environment = {key: value for key, value in os.environ.items() if key != "NPROC"}
+    # JAX's keys of kept programs do not contain the size of the pool.
+    without = ("NPROC", "JAX_COMPILATION_CACHE_DIR")
+    environment = {key: value for key, value in os.environ.items() if key not in without}
     environment["JAX_PLATFORMS"] = "cpu"
     if nproc is not None:
         environment["NPROC"] = nproc
