@@ -13,7 +13,7 @@ pytest.importorskip("warp", reason="needs warp-lang")
 
 from benchmarks.islands.rows import exact, solved_alone
 from tests.engines.block_rows import error, islands_of, random_states, roll_out, scattered, solve_in_c
-from usarmjx.engines.block import coverage
+from usarmjx.engines import block
 from usarmjx.engines.mjx_warp import WarpEngine
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.scene import build_scene
@@ -201,7 +201,7 @@ def test_what_is_not_covered_is_named_and_left_to_mujoco_warp(caplog: pytest.Log
       <worldbody><body><joint name="j" axis="0 1 0"/><geom size=".1"/></body></worldbody>
       <tendon><fixed range="-1 1"><joint joint="j" coef="1"/></fixed></tendon>
     </mujoco>""")
-    assert coverage.why_not(spec.compile()) == "tendons"
+    assert block.why_not(spec.compile()) == "tendons"
     with caplog.at_level(logging.WARNING):
         engine = WarpEngine(spec, Physics(solver="block"), 1)
     assert (engine.solver, engine.uncovered) == ("Newton", "tendons")
@@ -210,5 +210,5 @@ def test_what_is_not_covered_is_named_and_left_to_mujoco_warp(caplog: pytest.Log
 
 def test_what_is_covered_is_solved_by_it():
     scene = build_scene("yellow", ["P2AT"], Physics(solver="block"))
-    assert coverage.why_not(scene.model) is None
+    assert block.why_not(scene.model) is None
     assert scene.model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON, "as engine c has it"

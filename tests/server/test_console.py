@@ -9,8 +9,8 @@ import pytest
 from tests.server.still_world import CLASS, StillWorld
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.gamebots.console import NOT_ALLOWED, SpectatorCamera, SpectatorConsole
 from usarmjx.server.runtime.logs import MAX_KEPT_LINES, MAX_LOG_LINE, PACKAGE, LogTail, keep_log
+from usarmjx.server.viewing.console import NOT_ALLOWED, SpectatorCamera, SpectatorConsole
 from usarmjx.view.controls import WorldStatus
 
 

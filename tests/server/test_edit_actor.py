@@ -12,7 +12,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.cameras.mounts import CameraSettings
 from usarmjx.server.gamebots.adapter import Client
-from usarmjx.server.gamebots.console import PARAMETERS, edit_actor
+from usarmjx.server.viewing.console import PARAMETERS, edit_actor
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 

@@ -152,7 +152,7 @@ def add_viewer(
     tail = keep_log()
 
     def make_page(server: "viser.ViserServer") -> "ViewerPage":
-        from usarmjx.server.viewing.console_panel import ConsolePanel
+        from usarmjx.server.viewing.console import ConsolePanel
         from usarmjx.server.viewing.inset import CameraInset
         from usarmjx.view.page import ViewerPage
         from usarmjx.view.user_panels import UserPanels

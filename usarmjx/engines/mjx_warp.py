@@ -29,7 +29,7 @@ from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
 from usarmjx.base.warp_functions import pause_collection_in_callbacks
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
-from usarmjx.engines.block.coverage import why_not
+from usarmjx.engines.block import why_not
 from usarmjx.engines.cylinder_box import check_mjx_version
 from usarmjx.engines.mjx import MjxEngine, local_device, mjx
 from usarmjx.models.compile.compose import LOOSE_PREFIX, VICTIM_PREFIX

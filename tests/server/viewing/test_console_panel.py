@@ -5,8 +5,7 @@ import pytest
 from tests.server.watchers import CYCLOPS
 from tests.view.visitor import until, visiting
 from usarmjx.models.types.arena import ArenaSpec, StartPose
-from usarmjx.server.gamebots.console import NOT_ALLOWED
-from usarmjx.server.viewing.console_panel import SOMEBODY_ELSE, ConsolePanel
+from usarmjx.server.viewing.console import NOT_ALLOWED, SOMEBODY_ELSE, ConsolePanel
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.controls import ControlLock
