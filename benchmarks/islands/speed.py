@@ -4,10 +4,10 @@ python -m benchmarks.islands.speed physics --worlds 4096 --robots 16 --out block
 python -m benchmarks.islands.speed whole --worlds 4096 --robots 16 --solvers registers,CG --out block.jsonl
 
 `physics` launches Warp's kernels without JAX, with each of `solver.VARIANTS` in turn: from the same state,
-under the same random controls; a variant `+mixed` has pairs of the convex collider among all others, and
-one `+tiles` MuJoCo Warp's solution of the mass matrix. `whole` takes the whole step with all sensors, as
-`bench step` does. Several of these compile beside each other, and measure one after another, if they are
-given the same `--lock`.
+under the same random controls; a variant `+mixed` has pairs of the convex collider among all others, one
+`+tiles` MuJoCo Warp's solution of the mass matrix, one `+gravcomp` its kernel of gravity compensation.
+`whole` takes the whole step with all sensors, as `bench step` does. Several of these compile beside each
+other, and measure one after another, if they are given the same `--lock`.
 """
 
 import argparse
@@ -94,8 +94,9 @@ class PhysicsWorlds:
         table, self._steps = make_table(model, pairs, (own >= 0).any(1)), {}
         for apart in (False, True):  # the last is the usual one
             broad_phase.CONVEX_APART = apart
-            self._steps[apart] = _step_by_blocks(BroadPhase(table, device))
-        self._step, self._most_size = self._steps[True], trees.MOST_SIZE
+            for gravcomp in (True, False):
+                self._steps[apart, gravcomp] = _step_by_blocks(BroadPhase(table, device), gravcomp)
+        self._step, self._most_size = self._steps[True, False], trees.MOST_SIZE
         self.device, self.worlds, self.robots = device, worlds, robots
         names = ("qpos", "qvel", "qacc_warmstart", "time", "act")
         self._state = {name: value for name in names if (value := getattr(self.d, name)).size}
@@ -104,7 +105,8 @@ class PhysicsWorlds:
     def choose(self, variant: str) -> None:
         """Choose the variant of the steps from now on."""
         name, *other = variant.split("+")
-        solver.CLASSES, self._step = solver.VARIANTS[name], self._steps["mixed" not in other]
+        solver.CLASSES = solver.VARIANTS[name]
+        self._step = self._steps["mixed" not in other, "gravcomp" in other]
         trees.MOST_SIZE = 0 if "tiles" in other else self._most_size
 
     def step(self) -> None:
