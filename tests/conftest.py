@@ -163,23 +163,23 @@ def resident() -> float:
 
 
 @pytest.fixture(scope="session")
-def limit() -> list[float]:
+def memory_limit() -> list[float]:
     """Memory of this process at which it forgets programs next [bytes]."""
     return [MUCH]
 
 
 @pytest.fixture(autouse=True, scope="module")
-def forget_what_is_compiled(limit: list[float]) -> Iterator[None]:
+def forget_what_is_compiled(memory_limit: list[float]) -> Iterator[None]:
     """Drop what JAX has compiled when a process has grown large: all of it together takes 5 GB.
 
     What is left may be above the limit: a process that forgot after every module would compile all again.
     """
     yield
-    if resident() > limit[0]:
+    if resident() > memory_limit[0]:
         jax.clear_caches()
         gc.collect()
         return_freed_memory()
-        limit[0] = max(MUCH, resident() + MORE)
+        memory_limit[0] = max(MUCH, resident() + MORE)
 
 
 @pytest.fixture(autouse=True)
