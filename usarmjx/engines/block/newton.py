@@ -187,7 +187,52 @@ UNIT_CODE = """
 """
 """Native functions of the costs of an island's constraints."""
 
-LOAD_CODE = """
+PLACE_CODE = """
+        const int shift = members == 1 ? p.tree_start.data[tree] : 0;
+        const auto place = [&](int i) -> int {
+            if (members == 1) return i - shift;
+            const int owner = p.dof_tree.data[i];
+            return p.offsets.data[first_tree + owner] + i - p.tree_start.data[owner];
+        };
+"""
+"""Native code of the column of a degree of freedom."""
+
+ROWS_CODE = """
+        for (int u = lane; u < constraints; u += lanes) {
+            const int from = list[2 * u] & (1 << ROW_BITS) - 1, dim = list[2 * u] >> ROW_BITS;
+            const int r = list[2 * u + 1] & (1 << ROW_BITS) - 1, what = p.type.data[first_row + from];
+            const int kind = what == CONTACT_ELLIPTIC ? KIND_CONE
+                : what == EQUALITY ? KIND_TWO_SIDED
+                : what == FRICTION_DOF ? KIND_FRICTION : KIND_ONE_SIDED;
+            plan[2 * u] = r | dim << 16 | kind << 20;
+            plan[2 * u + 1] = (int)((unsigned)list[2 * u + 1] >> ROW_BITS);
+            const size_t contact = kind == KIND_CONE ? p.id.data[first_row + from] : 0;
+            const float* const rubs = (const float*)p.friction.data + contact * 5;
+            for (int j = 0; j < dim; ++j) {
+                weight[r + j] = p.weights.data[first_weight + from + j];
+                aim[r + j] = p.reference.data[first_row + from + j];
+                shape[r + j] = kind == KIND_FRICTION ? p.bound.data[first_row + from + j]
+                    : kind != KIND_CONE ? 0.0f
+                    : j > 0 ? rubs[j - 1] : rubs[0] * p.impedance.data[world % p.impedances];
+                float* const row = jac + (r + j) * width;
+                if (sparse) {
+                    const size_t start = (size_t)world * most_values + p.row_start.data[first_row + from + j];
+                    for (int k = 0; k < p.row_size.data[first_row + from + j]; ++k)
+                        row[place(p.columns.data[start + k])] = p.jacobian.data[start + k];
+                } else {
+                    fill(row, p.jacobian.data + (first_weight + from + j) * padded_dofs);
+                }
+            }
+        }
+        wait();
+"""
+"""Native code that reads the rows of an island, which are `width` numbers long.
+
+`fill` takes a row from all columns of a dense Jacobian.
+"""
+
+LOAD_CODE = (
+    """
         const int* const numbers = p.islands.data + (size_t)task * TASK_NUMBERS;
         const int world = task / trees, tree = task % trees;
         const int members = numbers[0], n = numbers[1], rows = numbers[2];
@@ -228,12 +273,9 @@ LOAD_CODE = """
             }
         }
         wait();
-        const int shift = members == 1 ? p.tree_start.data[tree] : 0;
-        const auto place = [&](int i) -> int {
-            if (members == 1) return i - shift;
-            const int owner = p.dof_tree.data[i];
-            return p.offsets.data[first_tree + owner] + i - p.tree_start.data[owner];
-        };
+"""
+    + PLACE_CODE
+    + """
         for (int i = lane; i < n; i += lanes) {
             const int row = dof[i], from = p.mass_start.data[row];
             const float* const values = p.inertia.data + (size_t)world * p.masses + from;
@@ -243,34 +285,13 @@ LOAD_CODE = """
             a[i] = (p.warm ? p.warm_acceleration : p.smooth_acceleration).data[first_dof + row];
             smooth[i] = p.smooth_force.data[first_dof + row];
         }
-        for (int u = lane; u < constraints; u += lanes) {
-            const int from = list[2 * u] & (1 << ROW_BITS) - 1, dim = list[2 * u] >> ROW_BITS;
-            const int r = list[2 * u + 1] & (1 << ROW_BITS) - 1, what = p.type.data[first_row + from];
-            const int kind = what == CONTACT_ELLIPTIC ? KIND_CONE
-                : what == EQUALITY ? KIND_TWO_SIDED
-                : what == FRICTION_DOF ? KIND_FRICTION : KIND_ONE_SIDED;
-            plan[2 * u] = r | dim << 16 | kind << 20;
-            plan[2 * u + 1] = (int)((unsigned)list[2 * u + 1] >> ROW_BITS);
-            const size_t contact = kind == KIND_CONE ? p.id.data[first_row + from] : 0;
-            const float* const rubs = (const float*)p.friction.data + contact * 5;
-            for (int j = 0; j < dim; ++j) {
-                weight[r + j] = p.weights.data[first_weight + from + j];
-                aim[r + j] = p.reference.data[first_row + from + j];
-                shape[r + j] = kind == KIND_FRICTION ? p.bound.data[first_row + from + j]
-                    : kind != KIND_CONE ? 0.0f
-                    : j > 0 ? rubs[j - 1] : rubs[0] * p.impedance.data[world % p.impedances];
-                float* const row = jac + (r + j) * n;
-                if (sparse) {
-                    const size_t start = (size_t)world * most_values + p.row_start.data[first_row + from + j];
-                    for (int k = 0; k < p.row_size.data[first_row + from + j]; ++k)
-                        row[place(p.columns.data[start + k])] = p.jacobian.data[start + k];
-                } else {
-                    const float* const values = p.jacobian.data + (first_weight + from + j) * padded_dofs;
-                    for (int i = 0; i < n; ++i) row[i] = values[dof[i]];
-                }
-            }
-        }
-        wait();
+        const int width = n;
+        const auto fill = [&](float* row, const float* values) {
+            for (int i = 0; i < n; ++i) row[i] = values[dof[i]];
+        };
+"""
+    + ROWS_CODE
+    + """
         const auto inertia = [&](int i, int j) -> float { return mass[i > j ? at(i, j) : at(j, i)]; };
         const auto times_row = [&](const float* vector, int r) -> float {
             float total = 0.0f;
@@ -303,6 +324,7 @@ LOAD_CODE = """
         for (int r = lane; r < rows; r += lanes) x[r] = distance(r);
         wait();
 """
+)
 """Native code that reads an island."""
 
 NEWTON_CODE = """

@@ -6,7 +6,7 @@ the code together: those that have converged wait without work.
 """
 
 from usarmjx.engines.block.islands import SIZES_CODE
-from usarmjx.engines.block.newton import UNIT_CODE
+from usarmjx.engines.block.newton import PLACE_CODE, ROWS_CODE, UNIT_CODE
 
 GROUP_CODE = """
     struct alignas(16) Four { float x, y, z, w; };
@@ -19,7 +19,7 @@ GROUP_CODE = """
     const int first_lane = (int)(threadIdx.x % 32 / LANES * LANES);
     const auto wait = []() { __syncwarp(all); };
     const auto any = [](bool x) -> bool { return __any_sync(all, x) != 0; };
-    const auto told = [&](float value, int owner) -> float {
+    const auto broadcast = [&](float value, int owner) -> float {
         return __shfl_sync(all, value, first_lane + owner);
     };
     const auto sum = [](float value) -> float {
@@ -37,7 +37,7 @@ GROUP_CODE = """
     const int group = (int)((unsigned)index / LANES);
     const auto wait = []() {};
     const auto any = [](bool x) -> bool { return x; };
-    const auto told = [](float value, int) -> float { return value; };
+    const auto broadcast = [](float value, int) -> float { return value; };
     const auto sum = [](float value) -> float { return value; };
     const auto most_of = [](int* at, int value) { *at = value > *at ? value : *at; };
     alignas(16) float memory[SLOT];
@@ -57,7 +57,8 @@ GROUP_CODE = """
 """
 """Native functions of the lanes that handle an island, and their memory."""
 
-LOAD_CODE = """
+LOAD_CODE = (
+    """
         const bool given = place_of < count;
         const int task = given ? p.tasks.data[(size_t)SIZE_CLASS * worlds * trees + place_of] : 0;
         const int* const numbers = p.islands.data + (size_t)task * TASK_NUMBERS;
@@ -94,12 +95,9 @@ LOAD_CODE = """
             }
         }
         wait();
-        const int shift = members == 1 ? p.tree_start.data[tree] : 0;
-        const auto place = [&](int i) -> int {
-            if (members == 1) return i - shift;
-            const int owner = p.dof_tree.data[i];
-            return p.offsets.data[first_tree + owner] + i - p.tree_start.data[owner];
-        };
+"""
+    + PLACE_CODE
+    + """
         float energy = 0.0f;
         UNROLL
         for (int o = 0; o < own; ++o) {
@@ -136,37 +134,16 @@ LOAD_CODE = """
         wait();
         for (int k = lane; k < rows * DOFS; k += lanes) jac[k] = 0.0f;
         wait();
-        for (int u = lane; u < constraints; u += lanes) {
-            const int from = list[2 * u] & (1 << ROW_BITS) - 1, dim = list[2 * u] >> ROW_BITS;
-            const int r = list[2 * u + 1] & (1 << ROW_BITS) - 1, what = p.type.data[first_row + from];
-            const int kind = what == CONTACT_ELLIPTIC ? KIND_CONE
-                : what == EQUALITY ? KIND_TWO_SIDED
-                : what == FRICTION_DOF ? KIND_FRICTION : KIND_ONE_SIDED;
-            plan[2 * u] = r | dim << 16 | kind << 20;
-            plan[2 * u + 1] = (int)((unsigned)list[2 * u + 1] >> ROW_BITS);
-            const size_t contact = kind == KIND_CONE ? p.id.data[first_row + from] : 0;
-            const float* const rubs = (const float*)p.friction.data + contact * 5;
-            for (int j = 0; j < dim; ++j) {
-                weight[r + j] = p.weights.data[first_weight + from + j];
-                aim[r + j] = p.reference.data[first_row + from + j];
-                shape[r + j] = kind == KIND_FRICTION ? p.bound.data[first_row + from + j]
-                    : kind != KIND_CONE ? 0.0f
-                    : j > 0 ? rubs[j - 1] : rubs[0] * p.impedance.data[world % p.impedances];
-                float* const row = jac + (r + j) * DOFS;
-                if (sparse) {
-                    const size_t start = (size_t)world * most_values + p.row_start.data[first_row + from + j];
-                    for (int k = 0; k < p.row_size.data[first_row + from + j]; ++k)
-                        row[place(p.columns.data[start + k])] = p.jacobian.data[start + k];
-                } else {
-                    const float* const values = p.jacobian.data + (first_weight + from + j) * padded_dofs;
-                    for (int k = 0; k < dofs; ++k) {
-                        const int owner = p.dof_tree.data[k];
-                        if (p.roots.data[first_tree + owner] == tree) row[place(k)] = values[k];
-                    }
-                }
+        constexpr int width = DOFS;
+        const auto fill = [&](float* row, const float* values) {
+            for (int k = 0; k < dofs; ++k) {
+                const int owner = p.dof_tree.data[k];
+                if (p.roots.data[first_tree + owner] == tree) row[place(k)] = values[k];
             }
-        }
-        wait();
+        };
+"""
+    + ROWS_CODE
+    + """
         // Sums of large terms that cancel: in single precision, stiff constraints would have wrong forces.
         const auto distance = [&](int r) -> float {
             double total = -aim[r];
@@ -180,6 +157,7 @@ LOAD_CODE = """
         int live = constraints;
         wait();
 """
+)
 """Native code that reads an island."""
 
 HESSIAN_CODE = """
@@ -243,18 +221,18 @@ ELIMINATION_CODE = """
             UNROLL
             for (int k = 0; k < DOFS; ++k) {
                 const int owner = k % lanes, slot = k / lanes;
-                const float scale = told(1.0f / max(hess[slot][k], least[slot]), owner);
+                const float scale = broadcast(1.0f / max(hess[slot][k], least[slot]), owner);
                 if (lane == owner) inverse[slot] = scale;
                 float part[own];
                 UNROLL
                 for (int o = 0; o < own; ++o) part[o] = lane + o * lanes > k ? hess[o][k] * scale : 0.0f;
                 UNROLL
                 for (int c = k + 1; c < DOFS; ++c) {
-                    const float value = told(hess[slot][c], owner);
+                    const float value = broadcast(hess[slot][c], owner);
                     UNROLL
                     for (int o = slot; o < own; ++o) hess[o][c] -= part[o] * value;
                 }
-                const float value = told(right[slot], owner);
+                const float value = broadcast(right[slot], owner);
                 UNROLL
                 for (int o = slot; o < own; ++o) right[o] -= part[o] * value;
             }
@@ -264,7 +242,7 @@ ELIMINATION_CODE = """
             UNROLL
             for (int k = DOFS - 1; k >= 0; --k) {
                 const int owner = k % lanes, slot = k / lanes;
-                const float value = told(right[slot] * inverse[slot], owner);
+                const float value = broadcast(right[slot] * inverse[slot], owner);
                 search[k] = value;
                 UNROLL
                 for (int o = 0; o <= slot; ++o) right[o] -= lane + o * lanes < k ? hess[o][k] * value : 0.0f;
@@ -314,7 +292,7 @@ NEWTON_CODE = (
             wait();
             float alpha = 1.0f;
             if (!done) {
-                // Near the end, steps that do not shrink are roundings. What is not finite ends it, too.
+                // Near the end, steps that do not shrink are roundings. NaN ends it, too.
                 converged = !(fall > enough);
                 const bool near = iteration > 0 && fall < NEAR_END * enough;
                 if (!converged && near && fall > 0.25f * before) ++stalls;
