@@ -172,7 +172,7 @@ def memory_limit() -> list[float]:
 def forget_what_is_compiled(memory_limit: list[float]) -> Iterator[None]:
     """Drop what JAX has compiled when a process has grown large: all of it together takes 5 GB.
 
-    What is left may be above the limit: a process that forgot after every module would compile all again.
+    Live arrays may keep memory above the limit: the next limit is higher, or every module would compile anew.
     """
     yield
     if resident() > memory_limit[0]:

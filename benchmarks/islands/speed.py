@@ -269,7 +269,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--repeats", type=int, default=3, help="of the steps of `whole`")
     parser.add_argument("--variants", type=names, default=list(solver.VARIANTS))
-    parser.add_argument("--profiled", type=names, default=[], help="variants whose kernels are told")
+    parser.add_argument("--profiled", type=names, default=[], help="variants whose kernels are timed")
     parser.add_argument("--solvers", type=names, default=["registers", "CG"], help="variants, or solvers")
     parser.add_argument("--first-worlds", type=int, default=0, help="worlds of a step that compiles kernels")
     parser.add_argument("--lock", type=Path, help="file")

@@ -396,7 +396,7 @@ def compute_actuation(
         refused = xp.zeros(powered.shape[:-1], xp.int32)
     else:
         target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
-        # Where the drive aims joints its setpoints are in their targets already, and would count twice.
+        # A drive that aims joints has its setpoints in their targets already: they would count twice.
         refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
     ctrl, hold, new_act = _soft_servo(plan, (target, mode), state, act, period, conditions)
     return ActuatorInputs(

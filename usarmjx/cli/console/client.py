@@ -240,7 +240,7 @@ async def run_script(
 
     Args:
         client: A client that is connected.
-        lines: What to send; empty ones and those that begin with `#` are not, `@sleep 1.5` waits, and
+        lines: Lines to send, but for empty ones and comments, which begin with `#`; `@sleep 1.5` waits, and
             `@until STA` waits for a message that begins so.
         show: Takes each message's line.
         linger: Time for which messages are shown after the last line [s].

@@ -1,4 +1,4 @@
-"""Policies written by hand, one for each task: what a trained one has to beat, and may imitate at first.
+"""Baselines, one for each task, which a trained policy has to beat, or imitates at first.
 
 Each is a function of one robot's observation, mapped over worlds and robots, and added to `BASELINES` below
 by its task's name; `driving` and

@@ -1,4 +1,4 @@
-"""Policies of one robot among obstacles, written by hand: it finds a free direction and drives there.
+"""Baselines of one robot among obstacles: it finds a free direction and drives there.
 
 `bug_policy` goes to a goal, along walls that bar the way (after Lumelsky and Stepanov's bug algorithm).
 `roam_policy` goes straight on, away from walls beside, and where the way ends turns to the more open side.
@@ -153,7 +153,7 @@ def bug_action(
     """
     bearing, distance = jnp.arctan2(obs[1], obs[0]), MAX_GOAL_DISTANCE * obs[2]
     lengths = free_distances(obstacles(obs[4:], robot, kinds), robot)
-    # What lies behind the goal bars no way to it.
+    # Obstacles behind the goal do not block the way to it.
     lengths = jnp.where(lengths > distance, jnp.inf, lengths)
     straight, free = choose_direction(lengths, bearing, jnp.zeros(()))
     off = wrap_angle(straight - bearing)

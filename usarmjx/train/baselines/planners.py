@@ -1,4 +1,4 @@
-"""Policies of teams written by hand: to the frontiers of their maps, and home with what the base wants.
+"""Planners of teams: robots go to the frontiers of their maps, and home with news for the base.
 
 Robots of the first versions drive the way that they observe. Those of the third versions choose goals:
 `reporting_policy` goes home with news, couriers also carry what others know, robots with meetings are at

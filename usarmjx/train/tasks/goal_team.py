@@ -462,14 +462,16 @@ class GoalTeam(TeamTask):
         belief, before = memory.belief, memory.extra.sent
         news = belief.squares == self.news_kind
         return jnp.where(
-            self.told(view, belief)[:, None, None], news, False if isinstance(before, tuple) else before
+            self.base_is_informed(view, belief)[:, None, None],
+            news,
+            False if isinstance(before, tuple) else before,
         )
 
     def noticed(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
         """Return the memory with what the base and the others have got to know."""
         belief, extra = memory.belief, memory.extra
         news = self.news(belief)
-        reported = jnp.where(self.told(view, belief), news, extra.reported)
+        reported = jnp.where(self.base_is_informed(view, belief), news, extra.reported)
         shared = jnp.where(_linked(view), news[:, None], extra.shared)
         return memory.replace(extra=extra.replace(reported=reported, shared=shared))
 
@@ -484,7 +486,7 @@ class GoalTeam(TeamTask):
             extra = extra.replace(sent=sent, picture=picture)
         return memory.replace(extra=extra.replace(goals=goals))
 
-    def told(self, view: TaskView, belief: Belief) -> jax.Array:
+    def base_is_informed(self, view: TaskView, belief: Belief) -> jax.Array:
         """Return whether robots have no news for the base, as far as they know (robots,)."""
         return view.time - belief.base_contact_time < RECENT_REPORT
 

@@ -225,7 +225,7 @@ class SearchBase(ReportingTeam):
         wide = around >= LOOK_SHARE * (2 * LOOK_BOX + 1) ** 2
         return ends | (known.targets & wide & (known.squares == FREE))
 
-    def told(self, view: TaskView, belief: Belief) -> jax.Array:
+    def base_is_informed(self, view: TaskView, belief: Belief) -> jax.Array:
         """As `GoalTeam`: marks are few, so it is known whether the last one came to the base."""
         del view
         return belief.mark_time < belief.base_contact_time

@@ -1,6 +1,6 @@
 """Soccer by hand: who is nearer gets behind the ball and pushes it to the goal, the other keeps goal.
 
-It is here and not with the other policies written by hand because the task itself needs it for `opponent`.
+It is here and not with the other baselines because the task itself needs it for `opponent`.
 """
 
 import jax
