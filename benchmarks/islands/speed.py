@@ -5,7 +5,8 @@ python -m benchmarks.islands.speed whole --worlds 4096 --robots 16 --solvers reg
 
 `physics` launches Warp's kernels without JAX, with each of `solver.VARIANTS` in turn: from the same state,
 under the same random controls; a variant `+mixed` has pairs of the convex collider among all others, one
-`+tiles` MuJoCo Warp's solution of the mass matrix, one `+gravcomp` its kernel of gravity compensation.
+`+tiles` MuJoCo Warp's solution of the mass matrix, one `+gravcomp` its kernel of gravity compensation, one
+`+stages` its kernels of smooth dynamics, one `+chunks-32-64` those of chunks of 32 bodies by 64 threads.
 `whole` takes the whole step with all sensors, as `bench step` does. Several of these compile beside each
 other, and measure one after another, if they are given the same `--lock`.
 """
@@ -25,6 +26,8 @@ import numpy as np
 import warp as wp
 
 from usarmjx.engines.block import islands, solver, trees
+from usarmjx.engines.block.smooth import SmoothDynamics
+from usarmjx.engines.mjx_warp import _step_by_blocks
 
 MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp"
 """Private; the version of MJX is pinned."""
@@ -65,7 +68,7 @@ class PhysicsWorlds:
         from benchmarks.scenes import start_qpos
         from usarmjx.engines.block import broad_phase
         from usarmjx.engines.block.broad_phase import BroadPhase, make_table
-        from usarmjx.engines.mjx_warp import _step_by_blocks, convex_contact_budget
+        from usarmjx.engines.mjx_warp import convex_contact_budget
         from usarmjx.models.compile.physics import Physics
         from usarmjx.sim.scene import build_scene
 
@@ -91,22 +94,28 @@ class PhysicsWorlds:
             wp.array((rng.uniform(-1.0, 1.0, (worlds, nu)) * top).astype(np.float32), device=device)
             for _ in range(8)
         ]
-        table, self._steps = make_table(model, pairs, (own >= 0).any(1)), {}
+        table, self._model = make_table(model, pairs, (own >= 0).any(1)), model
+        self._broad_phases = {}
         for apart in (False, True):  # the last is the usual one
             broad_phase.CONVEX_APART = apart
-            for gravcomp in (True, False):
-                self._steps[apart, gravcomp] = _step_by_blocks(BroadPhase(table, device), gravcomp)
-        self._step, self._most_size = self._steps[True, False], trees.MOST_SIZE
+            self._broad_phases[apart] = BroadPhase(table, device)
+        self._most_size = trees.MOST_SIZE
         self.device, self.worlds, self.robots = device, worlds, robots
         names = ("qpos", "qvel", "qacc_warmstart", "time", "act")
         self._state = {name: value for name in names if (value := getattr(self.d, name)).size}
         self._kept: dict[str, Any] = {}
+        self.choose("objects")
 
     def choose(self, variant: str) -> None:
         """Choose the variant of the steps from now on."""
         name, *other = variant.split("+")
         solver.CLASSES = solver.VARIANTS[name]
-        self._step = self._steps["mixed" not in other, "gravcomp" in other]
+        sizes = [map(int, one.split("-")[1:]) for one in other if one.startswith("chunks-")]
+        gravcomp, smooth_dynamics = "gravcomp" in other, None
+        if not gravcomp and "stages" not in other:
+            smooth_dynamics = SmoothDynamics(self._model, self.device, *(sizes[0] if sizes else ()))
+        near = self._broad_phases["mixed" not in other]
+        self._step = _step_by_blocks(near, gravcomp, smooth_dynamics)
         trees.MOST_SIZE = 0 if "tiles" in other else self._most_size
 
     def step(self) -> None:
@@ -201,7 +210,7 @@ def measure_physics(args: argparse.Namespace) -> None:
                 worlds.choose(name)
                 worlds.restore()
                 worlds.step()
-                now = worlds.d.qacc.numpy()
+                now = worlds.d.qacc.numpy().copy()  # on a CPU, NumPy sees the array itself
                 first = now if first is None else first
                 off = np.abs(now - first).max() / np.abs(first).max()
                 took = worlds.time(args.steps)

@@ -34,7 +34,7 @@ inline float sin(float x) { return std::sin(x); }
 inline float sqrt(float x) { return std::sqrt(x); }
 template <class T> T min(T a, T b) { return a < b ? a : b; }
 template <class T> T max(T a, T b) { return a > b ? a : b; }
-template <class T> struct array_t { T* data; };
+template <class T> struct array_t { T* data; int shape[1]; int strides[1]; };  // of its first dimension
 }
 #define __CUDA_ARCH__ 900
 #define __shared__ static
@@ -191,7 +191,9 @@ def run_struct_as_on_a_gpu(
     kinds = {name: "float" if value.dtype == np.float32 else "int" for name, value in arrays.items()}
     begin = [f"wp::array_t<{kind}> {name};" for name, kind in kinds.items()]
     begin = ["struct {", *begin, *(f"int {name};" for name in whole), "} p;"]
-    begin += [f"p.{name}.data = ({kind}*)arrays[{i}];" for i, (name, kind) in enumerate(kinds.items())]
+    for i, (name, kind) in enumerate(kinds.items()):
+        first = len(whole) + 2 * i
+        begin.append(f"p.{name} = {{({kind}*)arrays[{i}], {{numbers[{first}]}}, {{numbers[{first + 1}]}}}};")
     begin += [f"p.{name} = numbers[{i}];" for i, name in enumerate(whole)]
     words = {
         "PARAMETERS": [
@@ -208,4 +210,6 @@ def run_struct_as_on_a_gpu(
         source = source.replace(word, ", ".join(them))
     run = _library(GPU + source.replace("{CODE}", "{" + " ".join(begin) + code + "}"))
     pointers = (ctypes.c_void_p * len(arrays))(*(value.ctypes.data for value in arrays.values()))
-    run(pointers, (ctypes.c_int * len(whole))(*whole.values()), *map(ctypes.c_int, numbers.values()), dim)
+    sizes = [size for value in arrays.values() for size in (len(value), value.strides[0])]
+    integers = (ctypes.c_int * (len(whole) + len(sizes)))(*whole.values(), *sizes)
+    run(pointers, integers, *map(ctypes.c_int, numbers.values()), dim)

@@ -242,19 +242,24 @@ def _passive_without_gravcomp() -> Callable[..., Any]:
     )
 
 
-def _step_by_blocks(broad_phase: Callable[..., None] | None, gravcomp: bool) -> Callable[..., Any]:
-    """Return MuJoCo Warp's step with solver `block`, and maybe a broad phase, in place of its own.
+def _step_by_blocks(
+    broad_phase: Callable[..., None] | None,
+    gravcomp: bool,
+    smooth_dynamics: Callable[..., None] | None = None,
+) -> Callable[..., Any]:
+    """Return MuJoCo Warp's step with solver `block`, and maybe other stages, in place of its own.
 
     Args:
         broad_phase: See `multi_step`.
         gravcomp: Whether a body compensates for gravity.
+        smooth_dynamics: See `multi_step`.
     """
     solve = import_module("usarmjx.engines.block.solver").solve
     forward = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward")
     changed: dict[str, object] = {"solver": SimpleNamespace(solve=solve)}
+    collision = forward.collision_driver.collision
     if broad_phase is not None:
-        driver = forward.collision_driver
-        collision = _with_globals(driver.collision.__wrapped__, nxn_broadphase=broad_phase)
+        collision = _with_globals(collision.__wrapped__, nxn_broadphase=broad_phase)
         changed["fwd_position"] = _with_globals(
             forward.fwd_position.__wrapped__, collision_driver=SimpleNamespace(collision=collision)
         )
@@ -263,6 +268,9 @@ def _step_by_blocks(broad_phase: Callable[..., None] | None, gravcomp: bool) -> 
         changed["fwd_velocity"] = _with_globals(forward.fwd_velocity.__wrapped__, passive=passive)
     smooth = import_module("usarmjx.engines.block.trees").smooth_module()
     changed["fwd_acceleration"] = _with_globals(forward.fwd_acceleration.__wrapped__, smooth=smooth)
+    if smooth_dynamics is not None:
+        stages = import_module("usarmjx.engines.block.smooth").stages
+        changed |= stages(smooth_dynamics, collision, smooth.factor_solve_i)
     dynamics = _with_globals(forward.forward.__wrapped__, **changed)
     euler = _with_globals(forward.euler.__wrapped__, smooth=smooth)
     return _with_globals(forward.step.__wrapped__, forward=dynamics, euler=euler)
@@ -270,7 +278,11 @@ def _step_by_blocks(broad_phase: Callable[..., None] | None, gravcomp: bool) -> 
 
 @cache
 def multi_step(
-    count: int, block: bool, broad_phase: Callable[..., None] | None, gravcomp: bool = True
+    count: int,
+    block: bool,
+    broad_phase: Callable[..., None] | None,
+    gravcomp: bool = True,
+    smooth_dynamics: Callable[..., None] | None = None,
 ) -> Callable[[Any, Any], Any]:
     """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
 
@@ -279,6 +291,8 @@ def multi_step(
         block: Whether solver `block` takes the place of MuJoCo Warp's.
         broad_phase: The broad phase of that solver; None: MuJoCo Warp's.
         gravcomp: Whether a body compensates for gravity; that solver's step leaves this out without one.
+        smooth_dynamics: Of that solver's step, everything that does not depend on contacts; None: MuJoCo
+            Warp's.
 
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
@@ -286,7 +300,7 @@ def multi_step(
     check_mjx_version()
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
 
-    one_step = _step_by_blocks(broad_phase, gravcomp) if block else forward.mjwarp.step
+    one_step = _step_by_blocks(broad_phase, gravcomp, smooth_dynamics) if block else forward.mjwarp.step
     replay = LaunchReplay(one_step)
 
     def run_kernels(model: object, data: object) -> None:
@@ -456,7 +470,8 @@ class WarpEngine(MjxEngine):
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
         count, block = self.physics.substeps, self.solver == "block"
-        own = (self._broad_phase, bool(self.model.body_gravcomp.any())) if block else ()
+        gravcomp = bool(self.model.body_gravcomp.any())
+        own = (self._broad_phase, gravcomp, self._smooth_dynamics) if block else ()
         if self._graphs.control_step or jax.default_backend() == "cpu":
             return (multi_step(count, True, *own) if block else multi_step(count, False, None)), 1
         return (multi_step(1, True, *own), count) if block else super()._step_and_count()
@@ -466,10 +481,17 @@ class WarpEngine(MjxEngine):
         """Return the broad phase of solver `block`."""
         block, impl = import_module("usarmjx.engines.block.broad_phase"), self.mx._impl
         pairs, own = np.asarray(impl.nxn_geom_pair_filtered), np.asarray(impl.nxn_pairid_filtered)
-        device = None
-        if jax.default_backend() != "cpu":
-            device = import_module("warp").device_from_jax(local_device() or jax.devices()[0])
-        return block.BroadPhase(block.make_table(self.model, pairs, (own >= 0).any(1)), device)
+        return block.BroadPhase(block.make_table(self.model, pairs, (own >= 0).any(1)), _warp_device())
+
+    @cached_property
+    def _smooth_dynamics(self) -> Callable[..., None] | None:
+        """Return the smooth dynamics of solver `block`, or None if MuJoCo Warp's are needed."""
+        block = import_module("usarmjx.engines.block.smooth")
+        uncovered = block.why_not(self.model)
+        if uncovered is None:
+            return block.SmoothDynamics(self.model, _warp_device())
+        LOGGER.info("MuJoCo Warp's kernels compute the smooth dynamics: the scene has %s", uncovered)
+        return None
 
     def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a step function that blocks on a CPU: `block_until_finished` misses dropped results."""
@@ -496,6 +518,13 @@ class WarpEngine(MjxEngine):
         world = jnp.where(used, impl.contact__worldid.reshape(-1), self.worlds)  # past the end: dropped
         contacts = jnp.zeros(self.worlds, jnp.int32).at[world].add(1, mode="drop")
         return SolvedStep(contacts, impl.nefc.reshape(-1), impl.solver_niter.reshape(-1))
+
+
+def _warp_device() -> Any:  # noqa: ANN401 - Warp's
+    """Return Warp's device of an engine's arrays; None: the CPU."""
+    if jax.default_backend() == "cpu":
+        return None
+    return import_module("warp").device_from_jax(local_device() or jax.devices()[0])
 
 
 MOST_RECORDINGS = 4
