@@ -26,6 +26,7 @@ from usarmjx.engines.planar.neighbor_search import update_neighbors_on_jax, upda
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
+from usarmjx.sim.world import sense
 from usarmjx.train.make import make
 from usarmjx.train.mapping.wavefront import distances, path_on_jax, shortest_path, spread_distances
 
@@ -236,6 +237,39 @@ def test_more_threads_than_a_row_of_blocks_has_are_all_launched():
     assert (np.asarray(geom) == 0).all()
     np.testing.assert_allclose(distance, away[:, None] / jnp.cos(turn), rtol=1e-5)
     np.testing.assert_allclose(cosine, jnp.broadcast_to(jnp.cos(turn), cosine.shape), atol=1e-5)
+
+
+def test_sonars_and_tags_are_cast_on_warp_as_by_jax(monkeypatch):
+    """Of P2ATs driven for 1 s in 32 worlds; but for one range in a thousand, of a ray along an edge."""
+    from usarmjx.sensors.rays import raycast
+
+    scene = build_scene("yellow", ["P2AT"] * 8, Physics.coarse())
+    batch, suite = Batch(scene, 32, engine="planar"), scene.groups[0].suite
+    state = batch.reset()
+    for _ in range(20):
+        speeds = np.random.default_rng(2).uniform(-3.0, 6.0, (2, 32, 8)).astype(np.float32)
+        state = batch.step(batch.drive(state, 0, {"Left": speeds[0], "Right": speeds[1]}))
+
+    def ranges():
+        """Of sonars, and of the rays to tags up to the tag itself."""
+        seen = jax.jit(jax.vmap(partial(sense, scene)))(state.worlds, batch.physics(state))[0]
+        found = []
+        for i in (suite.index("Sonar"), suite.index("RFID")):
+            first = sum(suite.ray_counts[:i])
+            mine = jax.tree.map(lambda x, f=first, i=i: x[..., f : f + suite.ray_counts[i]], seen.hits)
+            if suite.sensors[i].least_cosines:
+                heard = np.repeat(suite.sensors[i].least_cosines, suite.ray_counts[i] // 16)
+                mine = jnp.where(mine.cosine >= heard, mine.distance, jnp.inf)
+                found.append(np.asarray(mine.reshape(*mine.shape[:2], 16, -1).min(-1)))
+            else:
+                found.append(np.asarray(mine.distance))
+        return found
+
+    on_warp = ranges()
+    monkeypatch.setattr(raycast, "warp_in_use", lambda: False)
+    for warp, plain in zip(on_warp, ranges(), strict=True):
+        assert np.isfinite(plain).mean() > 0.02
+        assert (~np.isclose(warp, plain, atol=1e-4)).mean() < 1e-3
 
 
 @pytest.mark.parametrize("robots", [1, 9, 40])

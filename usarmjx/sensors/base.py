@@ -309,6 +309,11 @@ class Sensor(ABC):
         return False
 
     @property
+    def least_cosines(self) -> tuple[float, ...]:
+        """Least cosine of incidence of each fan of which only the first hit counts; empty: all hits count."""
+        return ()
+
+    @property
     def on_command(self) -> bool:
         """Whether it measures only on the SCAN command."""
         return False

@@ -156,6 +156,11 @@ class Sonar(Sensor):
         widest = np.array([[one.max_incidence] for one in self.settings], np.float32)
         return np.where(widest < np.float32(math.pi / 2), np.cos(widest), np.float32(-1))
 
+    @property
+    def least_cosines(self) -> tuple[float, ...]:
+        """Cosine of each sensor's largest angle of incidence: the shortest ray of a beam counts."""
+        return tuple(self._min_cosines[:, 0].tolist())
+
     @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""

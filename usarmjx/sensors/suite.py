@@ -432,6 +432,7 @@ def query_of(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None
         incidence=sensor.needs_incidence,
         exclude_owner=slot,
         wanted=wanted,
+        least_cosines=sensor.least_cosines,
         kept_as=sensor.mounts[0].name if sensor.names_objects else "",
     )
 

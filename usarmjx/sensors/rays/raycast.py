@@ -95,8 +95,8 @@ class Hits(Node, kw_only=True):
 
     Attributes:
         distance: Distance to the surface, infinite without a hit [m] (rays,).
-        cosine: Cosine between the ray and the surface normal, in [0, 1]; 0 without a hit, or if not requested
-            (rays,).
+        cosine: Cosine between the ray and the surface normal, in [0, 1]; 0 without a hit, or if not
+            requested; 1 where a backend has left out all hits at less than `RayQuery.least_cosines` (rays,).
     """
 
     distance: Array
@@ -118,6 +118,8 @@ class RayQuery(Node, kw_only=True):
         incidence: Whether to compute the angles of incidence.
         exclude_owner: Slot of the casting robot, whose own geoms are transparent ().
         wanted: Whether the result is needed; if not, nothing is hit (); None: yes.
+        least_cosines: Of each fan only the nearest hit counts, among those with at least this cosine of
+            incidence (fans,); a backend may leave out all others, also by `incidence`. Empty: all count.
         kept_as: Name by which `CRayCaster` keeps the geoms that are met, for the casting robot; empty: it
             does not, and other backends never do.
     """
@@ -128,6 +130,7 @@ class RayQuery(Node, kw_only=True):
     incidence: bool = struct.field(pytree_node=False, default=False)
     exclude_owner: Int[Array, ""] | np.int32 = EXCLUDE_NONE
     wanted: Bool[Array, ""] | None = None
+    least_cosines: tuple[float, ...] = struct.field(pytree_node=False, default=())
     kept_as: str = struct.field(pytree_node=False, default="")
 
 
@@ -252,7 +255,7 @@ def warp_hits(
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
     """As `nearest_hits`, on Warp; see `raycast_warp`."""
-    from usarmjx.sensors.rays.raycast_warp import nearest_of_bundles
+    from usarmjx.sensors.rays.warp_launches import nearest_of_bundles
 
     wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
     found = nearest_of_bundles(
@@ -261,6 +264,7 @@ def warp_hits(
         (query.exclude_owner, wanted),
         bundle_size=query.bundle_size,
         max_distance=query.max_distance,
+        least_cosines=query.least_cosines,
     )
     return GeomHits(*found)
 
@@ -301,9 +305,13 @@ def _incidence(
     """Return the cosine between each ray and the surface at its hit (rays,); frames as below."""
     if warp_in_use():
         from usarmjx.sensors.rays.incidence_warp import cosines_of_hits
+        from usarmjx.sensors.rays.warp_launches import finds_first_only
 
+        seen = indexed_blocks(geoms, query.transparent)
+        if lines is not None and finds_first_only(seen, lines, query.least_cosines):
+            return jnp.where(first.geom_index >= 0, 1.0, 0.0)
         rays = (origin, direction) if lines is None else Fans(frames[0], frames[1], lines)
-        return cosines_of_hits(indexed_blocks(geoms, query.transparent), rays, first)
+        return cosines_of_hits(seen, rays, first)
     wanted = None if jax.default_backend() == "gpu" else query.wanted
     return masked_cast(wanted, _cosines, NO_COSINE, geoms, first, origin, direction)
 

@@ -6,20 +6,16 @@ On a CPU, in tests, each thread is a bundle of one ray.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import warp as wp
 
-from usarmjx.base.backend import Array
-from usarmjx.base.errors import UsageError
-from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays import bundles
-from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import bounding_box, bounding_radius
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, merge_vmaps
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
 from usarmjx.sensors.rays.warp_kinds import cone_box_distance, cone_sphere_distance, distance_of
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
@@ -28,8 +24,6 @@ WARP_SIZE = wp.constant(32)
 """Lanes of a warp."""
 KEYS_PER_LANE = 4
 """Geoms whose distances a lane holds during a pass."""
-BLOCK_DIM = 64
-"""Threads of a block."""
 SLOT_BITS = wp.constant(wp.uint32(255))
 """Last bits of a key: index of the geom in the pass. The first bits sort like the distance."""
 LAST_KEY = wp.constant(wp.uint32(0xFFFFFFFF))
@@ -44,10 +38,6 @@ GROUP_SIZE = wp.constant(6 * 32)
 """Four-vectors of a group of 32 geoms."""
 MAX_BUNDLE = 32
 """Largest bundle: one ray per lane."""
-MAX_THREADS = 2**31 - 1
-"""Largest number of threads of a launch, which kernels index with 32 bits."""
-UNLIMITED_DISTANCE = 3e38
-"""Finite stand-in for an unlimited range, as misses are infinitely far."""
 
 
 @wp.func_native("""
@@ -78,7 +68,9 @@ def integer_quotient(number: int, size: int) -> int:
     return 1;
 #endif
 """)
-def _lanes() -> int: ...
+def lanes() -> int:
+    """Return the threads that work together: a warp's, or one on a CPU."""
+    ...
 
 
 @wp.func_native("""
@@ -114,7 +106,9 @@ def _least_of_lanes(x: float) -> float: ...
     return x;
 #endif
 """)
-def _least_key_of_lanes(x: wp.uint32) -> wp.uint32: ...
+def least_key_of_lanes(x: wp.uint32) -> wp.uint32:
+    """Return the smallest number of all lanes."""
+    ...
 
 
 @wp.func_native("""
@@ -154,7 +148,7 @@ class WarpCone:
 def _cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
     """Return the bounding cone of the rays of all lanes."""
     cone = WarpCone()
-    share = 1.0 / wp.float32(_lanes())
+    share = 1.0 / wp.float32(lanes())
     cone.tip = start
     cone.tip_radius = CONE_MARGIN
     if not same_start:
@@ -199,7 +193,7 @@ def _key(near: float, owner: float, exclude: float, cone: WarpCone, slot: int, n
 
 
 @wp.func
-def _box_key(
+def box_key(
     geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float, slot: int, number: int
 ) -> wp.uint32:
     """Return the key of a geom by its bounding box."""
@@ -240,7 +234,7 @@ def _first_key(keys: Keys) -> wp.uint32:
     mine = LAST_KEY
     for k in range(KEYS_PER_LANE):
         mine = wp.min(mine, keys[k])
-    return _least_key_of_lanes(mine)
+    return least_key_of_lanes(mine)
 
 
 @wp.func
@@ -249,7 +243,7 @@ def _next_key(keys: Keys, after: wp.uint32) -> wp.uint32:
     mine = LAST_KEY
     for k in range(KEYS_PER_LANE):
         mine = wp.min(mine, wp.where(keys[k] > after, keys[k], LAST_KEY))
-    return _least_key_of_lanes(mine)
+    return least_key_of_lanes(mine)
 
 
 @wp.func
@@ -270,7 +264,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     best.distance = reach
     best.geom = -1.0
     cone = _cone_about(start, along, same_start)
-    width = _lanes()
+    width = lanes()
     begin = wp.int32(0)
     while begin < count:
         end = wp.where(begin < wide, wide, count)
@@ -280,7 +274,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
             for k in range(KEYS_PER_LANE):
                 slot = k * width + lane
                 at = first + geom_row(wp.min(begin + slot, end - 1))
-                keys[k] = _box_key(geoms, at, cone, exclude, slot, end - begin)
+                keys[k] = box_key(geoms, at, cone, exclude, slot, end - begin)
         else:
             for k in range(KEYS_PER_LANE):
                 slot = k * width + lane
@@ -348,7 +342,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
             first,
             wide,
             count,
-            lane & (_lanes() - 1),
+            lane & (lanes() - 1),
             pos[fan],
             mat[fan] * lines[ray],
             fans == 1,
@@ -394,7 +388,7 @@ def cast_rays(  # noqa: PLR0913 - as above
             first,
             wide,
             count,
-            lane & (_lanes() - 1),
+            lane & (lanes() - 1),
             origin[ray],
             along,
             False,
@@ -403,6 +397,59 @@ def cast_rays(  # noqa: PLR0913 - as above
         )
     distance[ray] = best.distance
     geom[ray] = int(best.geom)
+
+
+@wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=56)
+def cast_single_rays(  # noqa: PLR0913 - as above
+    geoms: wp.array[wp.vec4],
+    world: wp.array[int],
+    exclude: wp.array[int],
+    wanted: wp.array[int],
+    origin: wp.array[wp.vec3],
+    direction: wp.array[wp.vec3],
+    wide: int,
+    count: int,
+    rays: int,
+    reach: float,
+    distance: wp.array[float],
+    geom: wp.array[int],
+) -> None:
+    """Cast rays that have nothing in common; a warp per cast takes one after the other, as `cast_rays`."""
+    t = thread_index(wp.tid())
+    cast = t >> 5
+    lane = t & 31
+    first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
+    # On a CPU each lane is a thread of its own, and takes only the rays that it keeps.
+    step = wp.where(lanes() == 1, 32, 1)
+    begin = wp.int32(0)
+    while begin < rays:
+        kept = WarpBest()
+        kept.distance = wp.inf
+        kept.geom = -1.0
+        i = begin + wp.where(lanes() == 1, lane, 0)
+        end = wp.min(begin + 32, rays)
+        while i < end and wanted[cast] > 0:
+            along = direction[cast * rays + i]
+            if wp.length_sq(along) > 0.0:
+                best = _nearest(
+                    geoms,
+                    first,
+                    wide,
+                    count,
+                    lane & (lanes() - 1),
+                    origin[cast * rays + i],
+                    along,
+                    True,
+                    float(exclude[cast]),
+                    reach,
+                )
+                if i - begin == lane:
+                    kept = best
+            i += step
+        if begin + lane < rays:
+            distance[cast * rays + begin + lane] = kept.distance
+            geom[cast * rays + begin + lane] = int(kept.geom)
+        begin += 32
 
 
 def pack(blocks: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
@@ -420,10 +467,11 @@ def pack(blocks: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
 
 
 def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
-    none = np.zeros(info.num_geoms, np.float32)
-    radius = bounding_radius(info.kind, tuple(block.size.T)) if info.compact else none
-    # Compact geoms are culled by their sphere: their box is never read.
-    half = block.size if info.compact else jnp.stack(bounding_box(info.kind, tuple(block.size.T))[1], -1)
+    none, size = np.zeros(info.num_geoms, np.float32), tuple(block.size.T)
+    radius = bounding_radius(info.kind, size) if info.compact else none
+    middle, half = bounding_box(info.kind, size)
+    # A box about another point than the geom's position, as a triangle's, gives way to the sphere's.
+    half = jnp.stack(half if middle is None else [radius] * 3, -1)
     place = info.first_index + np.arange(info.num_geoms)
     rows = (block.pos, *(block.mat[:, i] for i in range(3)), block.size, half)
     last = (radius, block.owner, none + info.kind, place, none, none)
@@ -432,66 +480,3 @@ def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
         for a, b in zip(rows, last, strict=True)
     ]
     return jnp.stack([jnp.concatenate(pair, -1) for pair in single])
-
-
-@warp_function
-def _kernel(name: str) -> Any:  # noqa: ANN401 - Warp's kernels have no type
-    return wp.jax_kernel(globals()[name], num_outputs=2, block_dim=BLOCK_DIM)
-
-
-def _bundle_of(size: int) -> int:
-    """Return the size of equal bundles of which a few make a requested one."""
-    return -(-size // -(-size // MAX_BUNDLE))
-
-
-def nearest_of_bundles(
-    work: Sequence[tuple[GeomBlockInfo, GeomBlock]],
-    rays: tuple[Array, Array] | Fans,
-    exclude_and_wanted: tuple[Array | np.int32, Array],
-    *,
-    bundle_size: int,
-    max_distance: float,
-) -> tuple[jax.Array, jax.Array]:
-    """Return distance (inf for a miss) and geom index (-1 for a miss) of each first hit, both (rays,).
-
-    Args:
-        work: The geoms, compact ones last.
-        rays: Origins [m] and unit vectors (rays, 3); or fans, whose rays are never materialised.
-        exclude_and_wanted: Owner whose geoms are excluded (), and whether to cast at all ().
-        bundle_size: See `raycast.RayQuery`.
-        max_distance: See `raycast.RayQuery` [m].
-
-    Raises:
-        UsageError: The vmapped launch needs more than `MAX_THREADS` threads.
-    """
-    name, given, lines = "cast_rays", rays, ()
-    if isinstance(rays, Fans):
-        name, given = "cast_fans", (rays.pos, rays.mat)
-        lines = (np.asarray(rays.directions, np.float32).reshape(-1, 3),)
-    count, bundle = len(lines[0] if lines else rays[0]), _bundle_of(bundle_size)
-    if not work or not count:
-        return jnp.full(count, jnp.inf), jnp.full(count, -1, jnp.int32)
-    wide = sum(info.num_geoms for info, _ in work if not info.compact)
-    geoms = sum(info.num_geoms for info, _ in work)
-    bundles = -(-count // bundle)
-    numbers = [wide, geoms, count, bundles, bundle, min(max_distance, UNLIMITED_DISTANCE)]
-    if isinstance(rays, Fans):
-        numbers.append(len(rays.pos))
-
-    def run(geoms: Array, world: Array, exclude: Array, wanted: Array, *given: Array) -> tuple[Array, ...]:
-        casts = len(world)
-        arrays = [geoms.reshape(-1, 4), world, exclude, wanted]
-        arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans or rays of all casts on one axis
-        threads = casts * bundles * MAX_BUNDLE
-        if threads > MAX_THREADS:
-            raise UsageError(
-                f"{casts:,} casts of {count:,} rays each need {threads:,} threads of a GPU at once, "
-                f"at most {MAX_THREADS:,}: fewer worlds"
-            )
-        found = _kernel(name)(*arrays, *lines, *numbers, output_dims=casts * count, launch_dims=threads)
-        return tuple(x.reshape(casts, count) for x in found)
-
-    asked = [jnp.asarray(number).astype(jnp.int32) for number in exclude_and_wanted]
-    casts = [*asked, *(jnp.asarray(x, jnp.float32) for x in given)]
-    found = merge_vmaps(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))
-    return found[0][0], found[1][0]
