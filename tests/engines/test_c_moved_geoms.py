@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.c.batch import CEngine, MovedBody
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.make import make
@@ -89,6 +90,39 @@ def test_the_same_contacts_are_found_as_without_a_tree(boxes):
         assert data.contact.geom.tolist() == order
         found += data.ncon
     assert found > 24
+
+
+@pytest.mark.parametrize("boxes", [1, 7, 64])
+def test_boxes_around_a_path_find_the_same_contacts(boxes):
+    """Bit for bit and in the same order at each pose of three paths, for each of which one tree is written."""
+    rng, within = np.random.default_rng(boxes), side(boxes)
+    model, ids = model_of(boxes, 12)
+    body, data, found = MovedBody(model, ids), mujoco.MjData(model), 0
+    size = model.geom_size[ids]
+    for _ in range(3):
+        pos, quat, _ = scattered(rng, boxes, within)
+        steps = np.linspace(0.0, 1.0, 8)[:, None, None]
+        path = GeomPoses(pos=pos + 0.4 * steps, quat=np.broadcast_to(quat, (8, boxes, 4)))
+        trees = []
+        for step in (3, 0, 7, 5):
+            body.move_along(model, path.pos[step], path.quat[step], path)
+            trees.append(model.bvh_aabb.copy())
+            for ball in range(12):
+                data.qpos[7 * ball : 7 * ball + 3] = rng.uniform(-within, within, 3)
+            found_all = contacts(model, data, compare_all=True)
+            assert contacts(model, data, compare_all=False) == found_all
+            order, anew = data.contact.geom.tolist(), model.__copy__()
+            MovedBody(anew, ids).move(anew, path.pos[step], path.quat[step], size)
+            mujoco.mj_forward(anew, data)
+            assert data.contact.geom.tolist() == order
+            found += data.ncon
+        assert all((tree == trees[0]).all() for tree in trees)
+    assert found > 12
+    # Whoever moves them without a path has the boxes of the poses alone.
+    exact = model.__copy__()
+    MovedBody(exact, ids).move(exact, path.pos[0], path.quat[0])
+    body.move(model, path.pos[0], path.quat[0])
+    assert np.sort(model.bvh_aabb, axis=0) == pytest.approx(np.sort(exact.bvh_aabb, axis=0), abs=1e-12)
 
 
 def test_every_node_holds_its_children_and_every_leaf_its_geom():

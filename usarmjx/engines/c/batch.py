@@ -16,13 +16,15 @@ import numpy as np
 from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.process import cores
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.engines.base import Engine, Inputs, PhysicsState, SolvedStep
+from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
 REBUILD_FRACTION = 0.5
 """Fraction of moved geoms above which the hierarchy is rebuilt."""
+PATH_MARGIN = 1e-9
+"""Enlargement of boxes around paths against rounding [m]."""
 
 
 class BoundingTree(NamedTuple):
@@ -60,11 +62,13 @@ class MovedBody:
         leaves: np.ndarray = tree.bvh_nodeid[self._nodes]
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
         self._movable = np.flatnonzero(np.isin(self._geoms, self.ids))
+        self._rows = np.array([ids.index(geom) for geom in self._geoms[self._movable].tolist()], int)
         self._children, self._levels, self._leaf = _tree_topology(len(self._geoms))
         inner = [nodes[self._children[nodes, 0] >= 0] for nodes, _ in reversed(self._levels)]
         self._merges = [(nodes, *self._children[nodes].T) for nodes in inner if len(nodes)]
         self._worlds: dict[int, BoundingTree] = {}
         self._written: dict[int, BoundingTree] = {}
+        self._covered: GeomPoses | None = None
         if len(self._geoms):
             tree.bvh_child[self._nodes] = self._children
             for depth, (nodes, _) in enumerate(self._levels):
@@ -89,25 +93,57 @@ class MovedBody:
         if size is not None:
             model.geom_size[self.ids], model.geom_aabb[self.ids, 3:] = size, size
             model.geom_rbound[self.ids] = np.linalg.norm(size, axis=-1)
+        self._covered = None
         if len(self._geoms):
             self._write_tree(model, self._bounding_tree(model, world))
+
+    def move_along(self, model: mujoco.MjModel, pos: Array, quat: Array, path: GeomPoses) -> None:
+        """Move the geoms of the only world along a path, whose boxes are computed once.
+
+        MuJoCo tests the pairs whose boxes overlap exactly: larger boxes change no contact and no ray.
+
+        Args:
+            model: The model; the same one in all calls.
+            pos: Positions (n, 3) [m].
+            quat: Orientations (n, 4).
+            path: All poses on the path, these among them: (steps, n, 3) and (steps, n, 4).
+        """
+        model.geom_pos[self.ids], model.geom_quat[self.ids] = pos, quat
+        if self._covered is path or not len(self._geoms):
+            return
+        known = self._worlds.get(0) or self._bounding_tree(model, 0)
+        places = (np.asarray(part, float)[:, self._rows] for part in (path.pos, path.quat))
+        boxes = _bounding_boxes(model, self._geoms[self._movable], *places, self._frame)
+        mid, half = boxes[..., :3], boxes[..., 3:]
+        low, high = (mid - half).min(0) - PATH_MARGIN, (mid + half).max(0) + PATH_MARGIN
+        leaves = known.leaves.copy()
+        leaves[self._movable] = np.hstack([(low + high) / 2, (high - low) / 2])
+        # Nowhere is what these boxes are of: another way of moving computes them anew.
+        nowhere = np.full_like(known.places, np.nan)
+        tree = BoundingTree(nowhere, leaves, known.order, self._node_boxes(leaves[known.order]))
+        self._worlds[0], self._covered = tree, path
+        self._write_tree(model, tree)
 
     def _bounding_tree(self, model: mujoco.MjModel, world: int) -> BoundingTree:
         known, movable = self._worlds.get(world), self._geoms[self._movable]
         places = np.hstack([model.geom_pos[movable], model.geom_quat[movable], model.geom_aabb[movable, 3:]])
         if known is None:
-            leaves = _bounding_boxes(model, self._geoms, self._frame)
+            leaves = self._present_boxes(model, self._geoms)
             order = self._leaf_order(leaves)
         else:
             changed = self._movable[(known.places != places).any(axis=1)]
             if not len(changed):
                 return known
             leaves, order = known.leaves.copy(), known.order
-            leaves[changed] = _bounding_boxes(model, self._geoms[changed], self._frame)
+            leaves[changed] = self._present_boxes(model, self._geoms[changed])
             if len(changed) > REBUILD_FRACTION * len(leaves):
                 order = self._leaf_order(leaves)
         self._worlds[world] = BoundingTree(places, leaves, order, self._node_boxes(leaves[order]))
         return self._worlds[world]
+
+    def _present_boxes(self, model: mujoco.MjModel, geoms: np.ndarray) -> np.ndarray:
+        """Return the boxes of geoms where they are now (geoms, 6)."""
+        return _bounding_boxes(model, geoms, model.geom_pos[geoms], model.geom_quat[geoms], self._frame)
 
     def _write_tree(self, model: mujoco.MjModel, known: BoundingTree) -> None:
         if self._written.get(id(model)) is known:
@@ -171,20 +207,24 @@ def _tree_topology(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.nd
     return children, levels, leaf
 
 
-def _bounding_boxes(model: mujoco.MjModel, geoms: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """Return centres and half sizes of bounding boxes of geoms, in their body's inertial frame (geoms, 6).
+def _bounding_boxes(
+    model: mujoco.MjModel, geoms: np.ndarray, pos: np.ndarray, quat: np.ndarray, frame: np.ndarray
+) -> np.ndarray:
+    """Return centres and half sizes of boxes around geoms, in their body's inertial frame (..., geoms, 6).
 
     Args:
         model: The model.
         geoms: The geoms, all of one body.
+        pos: Their positions [m] (..., geoms, 3).
+        quat: Their orientations (..., geoms, 4).
         frame: Orientation of that frame (3, 3).
     """
     body, own = model.geom_bodyid[geoms[0]], model.geom_aabb[geoms]
     with numpy_backend():
-        mat = mat_from_quat(model.geom_quat[geoms])
+        mat = mat_from_quat(quat)
     mat = frame.T @ mat
-    mid = (model.geom_pos[geoms] - model.body_ipos[body]) @ frame + np.einsum("nij,nj->ni", mat, own[:, :3])
-    return np.hstack([mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])])
+    mid = (pos - model.body_ipos[body]) @ frame + np.einsum("...nij,nj->...ni", mat, own[:, :3])
+    return np.concatenate([mid, np.einsum("...nij,nj->...ni", np.abs(mat), own[:, 3:])], -1)
 
 
 STATE = mujoco.mjtState

@@ -84,16 +84,31 @@ class CWorld:
             act=data.act.astype(np.float32),
         )
 
-    def apply(self, inputs: Inputs) -> None:
-        """Set the inputs of a control step (no axis over worlds); no robot is ever parked here."""
+    def apply(self, inputs: Inputs, path: GeomPoses | None = None) -> None:
+        """Set the inputs of a control step (no axis over worlds); no robot is ever parked here.
+
+        Args:
+            inputs: The inputs.
+            path: All poses that movable geoms take in the next steps, as for `move`.
+        """
         self.data.ctrl[:], self.data.act[:] = inputs.ctrl, inputs.act
         self.data.xfrc_applied[:] = inputs.xfrc_applied
-        self.move(inputs.geom_poses)
+        self.move(inputs.geom_poses, path)
 
-    def move(self, poses: GeomPoses | None) -> None:
-        """Move the movable geoms to their current poses."""
-        if poses is not None and self._moved_body is not None:
+    def move(self, poses: GeomPoses | None, path: GeomPoses | None = None) -> None:
+        """Move the movable geoms.
+
+        Args:
+            poses: Their current poses (geoms, ...).
+            path: Poses of several steps, the current ones among them (steps, geoms, ...): their boxes are
+                computed once; None: the next poses are unknown.
+        """
+        if poses is None or self._moved_body is None:
+            return
+        if path is None:
             self._moved_body.move(self.model, poses.pos, poses.quat, poses.size)
+        else:
+            self._moved_body.move_along(self.model, poses.pos, poses.quat, path)
 
     def advance(
         self, robots: Mapping[int, RobotIndex], limits: Mapping[int, float], homes: Mapping[int, Array]
@@ -146,14 +161,17 @@ class CWorld:
             for data in (weld.data, self.model.eq_data[self.model.equality(name).id]):
                 set_weld(data, pos, quat)
 
-    def caster(self, robots: Mapping[int, RobotIndex], poses: GeomPoses | None) -> CRayCaster:
+    def caster(
+        self, robots: Mapping[int, RobotIndex], poses: GeomPoses | None, path: GeomPoses | None = None
+    ) -> CRayCaster:
         """Return a ray caster for the current state.
 
         Args:
             robots: Indices of each robot in the model, by slot.
             poses: Current poses of the movable geoms.
+            path: Their poses in several steps, as for `move`.
         """
-        self.move(poses)
+        self.move(poses, path)
         mujoco.mj_kinematics(self.model, self.data)
         if self._caster is None:
             materials = materials_of(self.model, self._arena)
