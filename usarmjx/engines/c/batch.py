@@ -6,6 +6,7 @@ rebuilt here when many geoms have moved (another arena), and refitted when a few
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -46,8 +47,7 @@ class BoundingTree(NamedTuple):
 class MovedBody:
     """Movable geoms of a static body at the world's origin, and their hierarchy in each world.
 
-    The hierarchy splits the geoms in halves, along the axis of the largest spread of their centres; so its
-    topology depends only on their number.
+    The hierarchy splits the geoms in halves, along one axis; so its topology depends only on their number.
 
     Args:
         model: The compiled model; its hierarchy takes that topology.
@@ -155,14 +155,25 @@ class MovedBody:
         self._written[id(model)] = known
 
     def _leaf_order(self, boxes: np.ndarray) -> np.ndarray:
-        """Return geoms by leaf, from their boxes: a node sorts its own along its longest axis (geoms,)."""
-        mid, order = boxes[:, :3], np.arange(len(boxes))
-        for _, starts in self._levels:
-            here = mid[order]
-            spread = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
-            node = np.repeat(np.arange(len(starts)), np.diff([*starts, len(mid)]))
-            along = np.take_along_axis(here, spread.argmax(axis=1)[node, None], axis=1)[:, 0]
-            order = order[np.lexsort((along, node))]
+        """Return geoms by leaf, from their boxes (geoms,).
+
+        A node sorts its own by their centres, along the axis for which the boxes of its halves have the
+        least area: few boxes are then met in vain.
+        """
+        mid, half, order = boxes[:, :3], boxes[:, 3:], np.arange(len(boxes))
+        low, high = mid - half, mid + half
+        for (_, starts), (_, halves) in pairwise(self._levels):
+            node = np.repeat(np.arange(len(starts)), np.diff([*starts, len(boxes)]))
+            count, parent = np.diff([*halves, len(boxes)]), node[halves]
+            least, chosen = np.full(len(starts), np.inf), order
+            for along in mid.T:
+                found = order[np.lexsort((along[order], node))]
+                x, y, z = np.maximum.reduceat(high[found], halves).T
+                x, y, z = (x, y, z) - np.minimum.reduceat(low[found], halves).T
+                area = np.bincount(parent, count * (x * y + y * z + z * x), len(starts))
+                chosen = np.where((area < least)[node], found, chosen)
+                least = np.minimum(area, least)
+            order = chosen
         return order
 
     def _node_boxes(self, leaves: np.ndarray) -> np.ndarray:
