@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache, partial
 from itertools import accumulate
-from typing import Any
+from typing import Any, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -206,7 +206,7 @@ class Suite:
             if not self.ray_counts[i] or not wanted.any():
                 continue
             together = _rays_of_robots(sensor, bodies, surroundings) if slot.ndim else None
-            if together is not None and isinstance(cast, RobotsRayCaster):
+            if together is not None and _casts_for_robots(cast):
                 origin, direction = (part[wanted] for part in together)
                 met = cast.of_robots(origin, direction, query_of(sensor, slot[wanted]))
                 distance[wanted, self._rays_of(i)] = met.distance
@@ -421,6 +421,16 @@ def _rays_of_robots(
     if fans is not None:
         return fans.rays()
     return sensor.aimed_rays(bodies, surroundings) if is_vectorized(sensor.aimed_rays) else None
+
+
+def _casts_for_robots(cast: RayCaster) -> TypeGuard[RobotsRayCaster]:
+    return _is_robots_ray_caster(type(cast))
+
+
+@cache
+def _is_robots_ray_caster(kind: type) -> bool:
+    # Looking up a protocol's methods takes as long as casting a few rays.
+    return issubclass(kind, RobotsRayCaster)
 
 
 def query_of(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) -> RayQuery:
