@@ -109,11 +109,11 @@ class MovedBody:
             path: All poses on the path, these among them: (steps, n, 3) and (steps, n, 4).
         """
         model.geom_pos[self.ids], model.geom_quat[self.ids] = pos, quat
-        if self._covered is path or not len(self._geoms):
+        if self._covered is path or not len(self._movable):
             return
         known = self._worlds.get(0) or self._bounding_tree(model, 0)
-        places = (np.asarray(part, float)[:, self._rows] for part in (path.pos, path.quat))
-        boxes = _bounding_boxes(model, self._geoms[self._movable], *places, self._frame)
+        places, turns = (np.asarray(part, float)[:, self._rows] for part in (path.pos, path.quat))
+        boxes = _bounding_boxes(model, self._geoms[self._movable], places, turns, self._frame)
         mid, half = boxes[..., :3], boxes[..., 3:]
         low, high = (mid - half).min(0) - PATH_MARGIN, (mid + half).max(0) + PATH_MARGIN
         leaves = known.leaves.copy()
