@@ -94,7 +94,7 @@ def test_the_same_contacts_are_found_as_without_a_tree(boxes):
 
 @pytest.mark.parametrize("boxes", [1, 7, 64])
 def test_boxes_around_a_path_find_the_same_contacts(boxes):
-    """Bit for bit and in the same order at each pose of three paths, for each of which one tree is written."""
+    """Bit for bit and in the same order at each pose of three paths, each of which has one tree."""
     rng, within = np.random.default_rng(boxes), side(boxes)
     model, ids = model_of(boxes, 12)
     body, data, found = MovedBody(model, ids), mujoco.MjData(model), 0
