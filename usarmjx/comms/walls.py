@@ -17,7 +17,7 @@ A mesh is the intersection of the half spaces behind its triangles, a terrain th
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +46,14 @@ TINY = 1e-12
 """Lower bound of divisors."""
 
 GeomType = mujoco.mjtGeom
-SOLIDS_PER_PASS = 16
-"""Solids per pass over all segments: each solid is read once for all segments of a world, in few passes."""
+SOLIDS_PER_PASS = 2
+"""Solids per pass over all segments: each solid is read once for all segments of a world.
+
+The program has a copy of the kernel for each solid of a pass. More than two make it no faster on a CPU, and
+with 16 the walls were a third of a radio task's program.
+"""
+SOLIDS_PER_PASS_ON_GPU = 16
+"""The same on a GPU, where a pass is a launch."""
 PADDING_DISTANCE = 1e6
 """Coordinate of the solids that pad the last chunk [m]."""
 
@@ -194,43 +200,43 @@ def add_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
     )
 
 
-def _columns(block: GeomBlock) -> tuple[XYZ, tuple[XYZ, XYZ, XYZ], XYZ]:
-    """Return position, orientation and size by components (geoms,), padded to whole chunks."""
+def _chunks(block: GeomBlock, length: int) -> GeomBlock:
+    """Return solids in chunks: arrays (chunks, length, ...)."""
     # Padding lies where no segment passes: 1,000 km off.
-    fill = -len(block.owner) % SOLIDS_PER_PASS
-    pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=PADDING_DISTANCE)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
-    size = jnp.pad(block.size, ((0, fill), (0, 0)), constant_values=1.0)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
-    mat = jnp.concatenate([block.mat, jnp.tile(jnp.eye(3, dtype=jnp.float32), (fill, 1, 1))])
-    split = tuple(tuple(values[:, i] for i in range(3)) for values in (pos, size))
-    turned = tuple(tuple(mat[:, j, i] for i in range(3)) for j in range(3))
-    return split[0], turned, split[1]  # type: ignore - three of each
-
-
-def _entry(values: jax.Array, index: Array) -> jax.Array:
-    return jax.lax.dynamic_index_in_dim(values, index)[0]  # pyright: ignore[reportUnknownVariableType] - half typed
+    fill = -len(block.owner) % length
+    padding = GeomBlock(
+        pos=np.full((fill, 3), PADDING_DISTANCE, np.float32),
+        mat=np.tile(np.eye(3, dtype=np.float32), (fill, 1, 1)),
+        size=np.ones((fill, 3), np.float32),
+        owner=np.full(fill, -1, np.int32),
+    )
+    padded = jax.tree.map(lambda x, more: jnp.concatenate([jnp.asarray(x), more]), block, padding)
+    return jax.tree.map(lambda x: x.reshape(-1, length, *x.shape[1:]), padded)
 
 
 def _count_in_passes(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
     """Return the number of solids of one type that each segment crosses (segments,), in chunks, on JAX."""
-    columns = _columns(block)
+    per_pass = SOLIDS_PER_PASS_ON_GPU if jax.default_backend() == "gpu" else SOLIDS_PER_PASS
+    chunks = _chunks(block, per_pass)
 
-    def chunk(c: Array, count: Array) -> Array:
-        for k in range(SOLIDS_PER_PASS):
-            here = c * SOLIDS_PER_PASS + k
-            pos, mat, size = jax.tree.map(partial(_entry, index=here), columns)
+    def add_chunk(c: Array, count: Array) -> Array:
+        solids: GeomBlock = jax.tree.map(
+            lambda x: jax.lax.dynamic_index_in_dim(x, c, keepdims=False),  # pyright: ignore[reportUnknownLambdaType, reportUnknownMemberType] - half typed
+            chunks,
+        )
+        for pos, mat, size in zip(solids.pos, solids.mat, solids.size, strict=True):
             # Sums of products instead of matrix products: they fuse, and avoid TensorFloat-32 on a GPU.
             offset = [middle[j] - pos[j] for j in range(3)]
-            local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
-            along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
+            local = tuple(sum(mat[j, i] * offset[j] for j in range(3)) for i in range(3))
+            along = tuple(sum(mat[j, i] * half[j] for j in range(3)) for i in range(3))
             count = count + CROSSING_KERNELS[kind](local, along, size)  # type: ignore - three components each
         return count
 
-    passes = -(-len(block.owner) // SOLIDS_PER_PASS)
-    return jax.lax.fori_loop(0, passes, chunk, jnp.zeros(middle[0].shape, jnp.int32))
+    return jax.lax.fori_loop(0, len(chunks.owner), add_chunk, jnp.zeros(middle[0].shape, jnp.int32))
 
 
 def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
-    """As `_count_in_passes`, all solids at once: few calls, for NumPy."""
+    """As `_count_in_passes`, all solids at once: few calls."""
     crossed = CROSSING_KERNELS[kind](*local_segments(block, middle, half), components(block.size))
     return crossed.sum(0, dtype=np.int32)
 
