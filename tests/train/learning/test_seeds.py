@@ -88,10 +88,10 @@ def assert_close(one, other):
 def test_networks_and_worlds_begin_as_those_of_a_run_alone():
     """Bit for bit: weights, statistics, and the worlds with their random keys."""
     seeds = (3, 2**40 + 7)
-    many = SeedTrainer(DriveToy(16), replace(CONFIG, num_worlds=8), ProcessGroup(), seeds)
+    many = SeedTrainer(rotten(64, 0), CONFIG, ProcessGroup(), seeds)
     train_state, rollout_state = many.start()
     for k, seed in enumerate(seeds):
-        alone = Trainer(DriveToy(8), replace(CONFIG, num_worlds=8, seed=seed), ProcessGroup()).start()
+        alone = Trainer(rotten(32, 0), replace(CONFIG, seed=seed), ProcessGroup()).start()
         assert_equal(of_seed(train_state, k), alone[0])
         assert_equal(of_seed(split_worlds(rollout_state, 2), k), alone[1])
 
@@ -259,8 +259,12 @@ def test_a_run_can_begin_with_the_networks_of_another(pair, tmp_path):
     from usarmjx.train.learning.fine_tuning import load_trained
 
     source = load_trained(pair / "seed-3", "last")
-    steps = 32 * 25 * 3
-    run(tmp_path / "runs", (1, 2), replace(CONFIG, total_steps=steps), source=source)
+
+    def stop(records):
+        raise Stop
+
+    with pytest.raises(Stop):
+        run(tmp_path / "runs", (1, 2), source=source, watch=stop)
     for seed in (1, 2):
         folder = tmp_path / "runs" / f"seed-{seed}"
         assert load_record(folder).began_with == source.origin
@@ -309,17 +313,15 @@ def test_a_seed_alone_does_not_go_on_and_the_folder_of_all_is_no_run(pair, tmp_p
         load_record(pair)
 
 
-def test_a_seed_that_went_on_alone_is_not_overwritten(tmp_path):
+def test_a_seed_that_went_on_alone_is_not_overwritten(pair, tmp_path):
     """Killed before the first checkpoint, its run begins anew alone."""
-    folder = tmp_path / "runs"
-    config = replace(CONFIG, total_steps=2 * 32 * 25 * 3)
-    run(folder, (3,), config)
-    shutil.rmtree(folder / "checkpoints")
-    shutil.rmtree(folder / "seed-3" / "checkpoints")
-    train(rotten, replace(config, seed=3), folder / "seed-3", resume=True, progress=False)
+    folder = copied(pair, tmp_path / "runs")
+    for place in ("", "seed-3", "seed-7"):
+        shutil.rmtree(folder / place / "checkpoints")
+    train(rotten, replace(CONFIG, seed=3), folder / "seed-3", resume=True, progress=False)
     there = Checkpoints(folder / "seed-3").all()
     with pytest.raises(UsageError, match="seed-3 went on alone: resume it alone, or delete its checkpoints"):
-        run(folder, (3,), config, resume=True)
+        run(folder, (3, 7), resume=True)
     assert Checkpoints(folder / "seed-3").all() == there
 
 
@@ -327,10 +329,14 @@ def test_the_terminal_shows_all_seeds_together(tmp_path, capsys, monkeypatch):
     """The rate is the sum of the rates, and the score is the mean."""
     monkeypatch.setattr("usarmjx.train.learning.metrics.RateLimitedLog", lambda say: say)
     records = []
-    steps = 32 * 25 * 3
-    config = replace(CONFIG, total_steps=steps)
-    train_seeds(rotten, config, tmp_path / "runs", (3, 7), watch=records.extend)
-    shown = [line for line in capsys.readouterr().err.splitlines() if line.startswith("usarmjx: 1/1")]
+
+    def stop(now):
+        records.extend(now)
+        raise Stop
+
+    with pytest.raises(Stop):
+        train_seeds(rotten, CONFIG, tmp_path / "runs", (3, 7), watch=stop)
+    shown = [line for line in capsys.readouterr().err.splitlines() if line.startswith("usarmjx: 1/10")]
     score = np.mean([one["score"] for one in records])
     rate = sum(one["steps_per_s"] for one in records)
     assert len(shown) == 1
