@@ -19,7 +19,7 @@ from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-ROUNDS = 25
+ROUNDS = 10
 """Visits of each kind in one count."""
 SETTLED = 5
 """Visits before the first count: caches fill."""

@@ -4,10 +4,12 @@ import asyncio
 import contextlib
 import io
 import os
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from PIL import Image
+from textual._wait import wait_for_idle
 from textual.app import App
 from textual.widgets import Input, RichLog, Static, TabbedContent
 
@@ -35,6 +37,12 @@ from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
 from usarmjx.server.protocol.grammar import parse_message
 from usarmjx.server.protocol.images import encode_frame
 
+IDLE_WAIT = 0.2
+"""Longest time that a pilot waits for an idle process after each key [s].
+
+Textual's is 1 s, all of which passes where the server is in the same process and never idle; `until` waits
+for what a key brings about.
+"""
 INIT = "INIT {ClassName USARBot.Lookout} {Name Eye} {Start S0}"
 
 
@@ -57,7 +65,11 @@ def with_app(app, script):
         async with app.run_test(size=(110, 34)) as pilot:
             await script(pilot)
 
-    asyncio.run(asyncio.wait_for(main(), 4 * PATIENCE))
+    def wait(least=0.0):
+        return wait_for_idle(least, IDLE_WAIT)
+
+    with patch("textual.pilot.wait_for_idle", wait), patch("textual.app.wait_for_idle", wait):
+        asyncio.run(asyncio.wait_for(main(), 4 * PATIENCE))
 
 
 async def until(pilot, true, what="what was waited for"):

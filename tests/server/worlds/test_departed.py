@@ -9,7 +9,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.control import CommandUpdate
 
 CLASSES = (SCOUT, ROBOTS.get("P2AT"), ROBOTS.get("Talon"))
-ROUNDS = 30
+ROUNDS = 10
 """Visits of a robot of each class."""
 STEPS = 12
 """Control steps of a visit: with a frame of the recording."""
