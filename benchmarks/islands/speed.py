@@ -6,9 +6,10 @@ python -m benchmarks.islands.speed whole --worlds 4096 --robots 16 --solvers reg
 `physics` launches Warp's kernels without JAX, with each of `solver.VARIANTS` in turn: from the same state,
 under the same random controls; a variant `+mixed` has pairs of the convex collider among all others, one
 `+tiles` MuJoCo Warp's solution of the mass matrix, one `+gravcomp` its kernel of gravity compensation, one
-`+stages` its kernels of smooth dynamics, one `+chunks-32-64` those of chunks of 32 bodies by 64 threads.
-`whole` takes the whole step with all sensors, as `bench step` does. Several of these compile beside each
-other, and measure one after another, if they are given the same `--lock`.
+`+stages` its kernels of smooth dynamics, one `+chunks-32-64` chunks of 32 bodies by 64 threads, and one
+`+beside` launches on several streams, as far as they do not need each other. `whole` takes the whole step
+with all sensors, as `bench step` does; its solvers may be `+beside`, too. Several of these compile beside
+each other, and measure one after another, if they are given the same `--lock`.
 """
 
 import argparse
@@ -25,7 +26,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from usarmjx.engines.block import islands, solver, trees
+from usarmjx.engines.block import branches, islands, solver, trees
 from usarmjx.engines.block.smooth import SmoothDynamics
 from usarmjx.engines.mjx_warp import _step_by_blocks
 
@@ -117,6 +118,7 @@ class PhysicsWorlds:
         near = self._broad_phases["mixed" not in other]
         self._step = _step_by_blocks(near, gravcomp, smooth_dynamics)
         trees.MOST_SIZE = 0 if "tiles" in other else self._most_size
+        branches.BESIDE = "beside" in other
 
     def step(self) -> None:
         """Launch the kernels of a physics step."""
@@ -234,7 +236,9 @@ def measure_whole(args: argparse.Namespace) -> None:
     from benchmarks.cases import StepCase
     from benchmarks.scenes import batch_of, repeat_loop, scene_of, whole_step
 
-    for name in args.solvers:
+    for variant in args.solvers:
+        name, *other = variant.split("+")
+        branches.BESIDE = "beside" in other
         if name in solver.VARIANTS:
             solver.CLASSES = solver.VARIANTS[name]
         case = StepCase(
@@ -260,7 +264,7 @@ def measure_whole(args: argparse.Namespace) -> None:
         contacts = None if solved is None else float(np.asarray(solved.contacts).mean()) / args.robots
         figures = {"ms": 1e3 * took, "robots_in_real_time": robots, "contacts_of_a_robot": contacts}
         case_of = {"worlds": args.worlds, "robots": args.robots}
-        tell(args.out, what="whole", solver=name, **case_of, **figures, times_s=times, first_s=first)
+        tell(args.out, what="whole", solver=variant, **case_of, **figures, times_s=times, first_s=first)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

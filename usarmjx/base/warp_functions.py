@@ -17,7 +17,7 @@ from functools import cache, wraps
 from importlib import import_module
 from importlib.util import find_spec
 from threading import Lock
-from types import SimpleNamespace
+from types import FunctionType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax
@@ -60,6 +60,14 @@ def without_collection(callback: Callable[..., Any]) -> Callable[..., Any]:
             return callback(*args)
 
     return paused
+
+
+def with_globals(function: Callable[..., None], **changed: object) -> Callable[..., Any]:
+    """Return a copy of a function in which some globals of its module are replaced."""
+    seen = {**function.__globals__, **changed}
+    copied = FunctionType(function.__code__, seen, function.__name__, function.__defaults__)
+    copied.__annotations__, copied.__module__ = function.__annotations__, function.__module__
+    return copied
 
 
 @cache

@@ -15,7 +15,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib import import_module
-from types import FunctionType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import jax
@@ -27,7 +27,7 @@ from jax.custom_batching import custom_vmap
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
-from usarmjx.base.warp_functions import pause_collection_in_callbacks
+from usarmjx.base.warp_functions import pause_collection_in_callbacks, with_globals
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.block import why_not
 from usarmjx.engines.cylinder_box import check_mjx_version
@@ -217,14 +217,6 @@ for _mode, _suffix in (("WARP", ""), ("WARP_STAGED", "-staged"), ("WARP_STAGED_E
     GRAPH_MODES.add(f"control{_suffix}", GraphMode(_mode, control_step=True))
 
 
-def _with_globals(function: Callable[..., None], **changed: object) -> Callable[..., Any]:
-    """Return a copy of a function in which some globals of its module are replaced."""
-    seen = {**function.__globals__, **changed}
-    copied = FunctionType(function.__code__, seen, function.__name__, function.__defaults__)
-    copied.__annotations__, copied.__module__ = function.__annotations__, function.__module__
-    return copied
-
-
 def _passive_without_gravcomp() -> Callable[..., Any]:
     """Return MuJoCo Warp's passive forces without the kernel of gravity compensation.
 
@@ -237,7 +229,7 @@ def _passive_without_gravcomp() -> Callable[..., Any]:
         if kernel is not passive._gravity_force:
             passive.wp.launch(kernel, *args, **kwargs)
 
-    return _with_globals(
+    return with_globals(
         passive.passive.__wrapped__, wp=SimpleNamespace(**vars(passive.wp) | {"launch": launch})
     )
 
@@ -259,21 +251,22 @@ def _step_by_blocks(
     changed: dict[str, object] = {"solver": SimpleNamespace(solve=solve)}
     collision = forward.collision_driver.collision
     if broad_phase is not None:
-        collision = _with_globals(collision.__wrapped__, nxn_broadphase=broad_phase)
-        changed["fwd_position"] = _with_globals(
+        narrow_phase = import_module("usarmjx.engines.block.branches").narrow_phase
+        collision = with_globals(collision.__wrapped__, nxn_broadphase=broad_phase, _narrowphase=narrow_phase)
+        changed["fwd_position"] = with_globals(
             forward.fwd_position.__wrapped__, collision_driver=SimpleNamespace(collision=collision)
         )
     if not gravcomp:
         passive = SimpleNamespace(passive=_passive_without_gravcomp())
-        changed["fwd_velocity"] = _with_globals(forward.fwd_velocity.__wrapped__, passive=passive)
+        changed["fwd_velocity"] = with_globals(forward.fwd_velocity.__wrapped__, passive=passive)
     smooth = import_module("usarmjx.engines.block.trees").smooth_module()
-    changed["fwd_acceleration"] = _with_globals(forward.fwd_acceleration.__wrapped__, smooth=smooth)
+    changed["fwd_acceleration"] = with_globals(forward.fwd_acceleration.__wrapped__, smooth=smooth)
     if smooth_dynamics is not None:
         stages = import_module("usarmjx.engines.block.smooth").stages
         changed |= stages(smooth_dynamics, collision, smooth.factor_solve_i)
-    dynamics = _with_globals(forward.forward.__wrapped__, **changed)
-    euler = _with_globals(forward.euler.__wrapped__, smooth=smooth)
-    return _with_globals(forward.step.__wrapped__, forward=dynamics, euler=euler)
+    dynamics = with_globals(forward.forward.__wrapped__, **changed)
+    euler = with_globals(forward.euler.__wrapped__, smooth=smooth)
+    return with_globals(forward.step.__wrapped__, forward=dynamics, euler=euler)
 
 
 @cache
@@ -310,8 +303,8 @@ def multi_step(
         for _ in range(count):
             one_step(model, data)
 
-    shim = _with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
-    call = _with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
+    shim = with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
+    call = with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
     step = custom_vmap(ffi.marshal_jax_warp_callable(call))
 
     @step.def_vmap
@@ -470,6 +463,8 @@ class WarpEngine(MjxEngine):
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
         count, block = self.physics.substeps, self.solver == "block"
+        if block and jax.default_backend() != "cpu":
+            import_module("usarmjx.engines.block.branches").branches_of(_warp_device())  # makes its streams
         gravcomp = bool(self.model.body_gravcomp.any())
         own = (self._broad_phase, gravcomp, self._smooth_dynamics) if block else ()
         if self._graphs.control_step or jax.default_backend() == "cpu":

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.engines.block import smooth_code
+from usarmjx.engines.block.branches import branches_of
 from usarmjx.engines.planar.warp_solids import expand_macros
 
 warp: Any = import_module("warp")
@@ -355,15 +356,18 @@ def stages(
     constraint = import_module(f"{MUJOCO_WARP}.constraint")
 
     def fwd_position(m: Any, d: Any, factorize: bool = True) -> None:  # noqa: ANN401
-        del factorize  # only later
+        del factorize
         smooth_dynamics(m, d)
+        stream = branches_of(d.qpos.device).stream(0)
+        with warp.ScopedStream(stream):  # contacts do not need these accelerations
+            factor_solve(m, d, d.M, d.qLD, d.qLDiagInv, d.qacc_smooth, d.qfrc_smooth)
         if m.opt.run_collision_detection:
             collision(m, d)
         constraint.make_constraint(m, d)
 
     def fwd_acceleration(m: Any, d: Any, factorize: bool = False) -> None:  # noqa: ANN401
-        del factorize
-        factor_solve(m, d, d.M, d.qLD, d.qLDiagInv, d.qacc_smooth, d.qfrc_smooth)
+        del m, factorize
+        branches_of(d.qpos.device).join()
 
     def done(m: Any, d: Any) -> None:  # noqa: ANN401
         del m, d

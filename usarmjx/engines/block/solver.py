@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 
 from usarmjx.engines.block import islands, newton, small
+from usarmjx.engines.block.branches import branches_of
 from usarmjx.engines.planar.warp_solids import expand_macros
 
 warp: Any = import_module("warp")
@@ -248,11 +249,14 @@ def solve(m: Any, d: Any) -> None:  # noqa: ANN401 - as above
     islands.check_rows(d.njmax)
     p, threads, device = make_problem(m, d), islands.THREADS, d.qacc.device
     warp.launch(islands_kernel(CLASSES), dim=d.nworld * threads, inputs=[p], block_dim=threads, device=device)
-    for which, size_class in enumerate(CLASSES):
+    branches = branches_of(device)
+    for which, size_class in reversed(list(enumerate(CLASSES))):  # the largest, which take longest, first
         groups = min(d.nworld * m.ntree, size_class.most)
         if not size_class.slot:
             groups = max(1, min(groups, SCRATCH_NUMBERS // p.scratch_size))
             p.scratch = warp.empty(groups * p.scratch_size, dtype=float)
         groups += -groups % (32 // min(size_class.lanes, 32))  # whole warps
         dim, kernel = groups * size_class.lanes, newton_kernel(size_class, which)
-        warp.launch(kernel, dim=dim, inputs=[p, groups], block_dim=size_class.block, device=device)
+        options = {"block_dim": size_class.block, "device": device, "stream": branches.stream(which)}
+        warp.launch(kernel, dim=dim, inputs=[p, groups], **options)
+    branches.join()
