@@ -111,13 +111,13 @@ class PhysicsWorlds:
         """Choose the variant of the steps from now on."""
         name, *other = variant.split("+")
         solver.CLASSES = solver.VARIANTS[name]
+        trees.MOST_SIZE = 0 if "tiles" in other else self._most_size
         sizes = [map(int, one.split("-")[1:]) for one in other if one.startswith("chunks-")]
         gravcomp, smooth_dynamics = "gravcomp" in other, None
         if not gravcomp and "stages" not in other:
             smooth_dynamics = SmoothDynamics(self._model, self.device, *(sizes[0] if sizes else ()))
         near = self._broad_phases["mixed" not in other]
         self._step = _step_by_blocks(near, gravcomp, smooth_dynamics)
-        trees.MOST_SIZE = 0 if "tiles" in other else self._most_size
         branches.BESIDE = "beside" in other
 
     def step(self) -> None:

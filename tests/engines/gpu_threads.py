@@ -30,6 +30,7 @@ GPU = r"""
 namespace wp {
 inline float abs(float x) { return std::fabs(x); }
 inline float cos(float x) { return std::cos(x); }
+inline float exp(float x) { return std::exp(x); }
 inline float sin(float x) { return std::sin(x); }
 inline float sqrt(float x) { return std::sqrt(x); }
 template <class T> T min(T a, T b) { return a < b ? a : b; }

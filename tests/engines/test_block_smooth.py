@@ -15,7 +15,7 @@ import warp as wp
 from tests.engines.block_rows import random_states
 from tests.engines.gpu_threads import COMPILER, run_struct_as_on_a_gpu
 from usarmjx.engines import mjx_warp
-from usarmjx.engines.block import smooth
+from usarmjx.engines.block import advance, smooth
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -29,13 +29,13 @@ ERROR = 1e-5
 JOINTS = """<mujoco><option timestep="0.01"/><worldbody>
   <body name="held" mocap="true" pos="0 0 2"><geom size="0.1" contype="0" conaffinity="0"/></body>
   <body name="wall" pos="3 0 0" euler="0 0 30"><geom type="box" size="0.1 1 1"/>
-    <body pos="0 1 0"><joint type="hinge" axis="0 0 1" pos="0 -0.5 0" stiffness="3" springref="20"/>
+    <body pos="0 1 0"><joint type="hinge" axis="0 0 1" pos="0 -0.5 0" stiffness="3 2 1" springref="20"/>
       <geom type="box" size="0.1 0.5 1" pos="0 0.5 0"/></body></body>
   <body name="loose" pos="0 0 1"><freejoint/><geom type="box" size="0.1 0.2 0.3" pos="0.05 0 0"/></body>
   <body name="robot" pos="1 0 1" euler="10 20 30"><joint type="free" damping="0.2"/>
     <geom type="box" size="0.3 0.2 0.1"/>
     <body pos="0.3 0 0.1" euler="0 0 40"><joint name="slide" type="slide" axis="1 1 0" damping="2"/>
-      <joint name="turn" type="hinge" axis="0 1 0" pos="0.1 0 0" damping="0.4" armature="0.1"/>
+      <joint name="turn" type="hinge" axis="0 1 0" pos="0.1 0 0" damping="0.4 0.3 0.2" armature="0.1"/>
       <geom type="capsule" size="0.05 0.2" pos="0 0 0.2"/>
       <body pos="0 0 0.4"><joint type="ball" pos="0 0 -0.1" damping="0.1"/><geom size="0.1" pos="0.1 0.05 0"/>
         <body pos="0.2 0 0"><joint name="tip" type="hinge" axis="1 0 1" actuatorfrcrange="-0.5 0.5"
@@ -192,6 +192,89 @@ def test_threads_of_a_gpu_find_what_one_alone_finds(case: str, bodies: int, thre
     run_struct_as_on_a_gpu(code, fields, d.nworld * chunks * threads, threads)
     world_too = {name: fields[name] for name in FOUND}
     same({name: value[:, -right[name].shape[1] :] for name, value in world_too.items()}, right)
+
+
+def moving(case: str, model: mujoco.MjModel, seed: int = 5) -> tuple[Any, Any, np.ndarray]:
+    """Return model and data whose forces give random accelerations, and these; masses are C MuJoCo's."""
+    mjw, states = import_module("mujoco.mjx.third_party.mujoco_warp"), states_of(case, model)
+    m, d = mjw.put_model(model), mjw.make_data(model, nworld=len(states["qpos"]))
+    rng, right = np.random.default_rng(seed), []
+    for field, value in states.items():
+        if value.size:
+            getattr(d, field).assign(value.astype(np.float32))
+    smooth.SmoothDynamics(model)(m, d)
+    wanted = rng.normal(size=(d.nworld, model.nv))
+    for world in range(d.nworld):
+        data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+        data.qpos[:], data.qvel[:] = states["qpos"][world], states["qvel"][world]
+        data.mocap_pos[:], data.mocap_quat[:] = states["mocap_pos"][world], states["mocap_quat"][world]
+        _MUJOCO.mj_fwdPosition(model, data)
+        _MUJOCO.mj_fullM(model, data, mass)
+        speed, poly = np.abs(data.qvel), _any(model).dof_dampingpoly
+        slope = _any(model).dof_damping + 2 * poly[:, 0] * speed + 3 * poly[:, 1] * speed**2
+        damped = mass + model.opt.timestep * np.diag(slope)
+        right.append(damped @ wanted[world])
+    d.efc.Ma.assign(np.array(right, np.float32))
+    d.qacc.assign(wanted.astype(np.float32))
+    return m, d, wanted
+
+
+def _any(model: mujoco.MjModel) -> Any:
+    return model
+
+
+STEPPED = ("qpos", "qvel", "act", "time", "qacc_warmstart")
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("case", ["joints", "P2AT P2DX"])
+def test_steps_end_as_those_of_mujoco_warp(case: str):
+    """Velocities grow by the accelerations that the forces were made of."""
+    forward, model = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward"), model_of(case)
+    m, d, wanted = moving(case, model)
+    before = d.qvel.numpy().copy()
+    forward.euler(m, d)
+    right = {name: getattr(d, name).numpy().copy() for name in STEPPED}
+    m, d, _ = moving(case, model)
+    assert advance.fits(model)
+    advance.Advance(model)(m, d)
+    most = ERROR * max(1.0, np.abs(before).max())
+    np.testing.assert_allclose(d.qvel.numpy(), before + model.opt.timestep * wanted, rtol=0, atol=most)
+    for name, value in right.items():
+        if value.size:
+            most = ERROR * max(1.0, np.abs(value).max())
+            np.testing.assert_allclose(getattr(d, name).numpy(), value, rtol=0, atol=most, err_msg=name)
+    assert np.abs(d.qpos.numpy() - states_of(case, model)["qpos"]).max() > 1e-3
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+def test_threads_of_a_gpu_end_steps_as_one_alone_does():
+    model = model_of("joints")
+    (m, d, _), (_, other, _) = (moving("joints", model) for _ in range(2))
+    end = advance.Advance(model)
+    problems = [end.problem(m, other, size) for size in end._tables]
+    end(m, d)
+    for size, problem in zip(end._tables, problems, strict=True):
+        fields = {}
+        for name in advance.problem_type().vars:
+            value = getattr(problem, name)
+            fields[name] = value.numpy().copy() if hasattr(value, "numpy") else int(value)
+        dim = d.nworld * len(fields["starts"])
+        run_struct_as_on_a_gpu(advance.code_of(size), fields, dim, 32)
+        for name in ("qpos", "qvel", "act"):
+            getattr(other, name).assign(fields[name])
+    same(
+        {name: getattr(other, name).numpy() for name in STEPPED[:3]},
+        {name: getattr(d, name).numpy() for name in STEPPED[:3]},
+    )
+
+
+def test_large_trees_and_explicit_damping_are_left_to_mujoco_warp():
+    assert not advance.fits(model_of("Kenaf Talon"))
+    model = model_of("joints")
+    model.opt.disableflags |= int(_MUJOCO.mjtDisableBit.mjDSBL_EULERDAMP)
+    assert not advance.fits(model)
+    assert smooth.SmoothDynamics(model).advance is None
 
 
 def test_what_is_not_covered_is_named():

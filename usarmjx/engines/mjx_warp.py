@@ -265,7 +265,9 @@ def _step_by_blocks(
         stages = import_module("usarmjx.engines.block.smooth").stages
         changed |= stages(smooth_dynamics, collision, smooth.factor_solve_i)
     dynamics = with_globals(forward.forward.__wrapped__, **changed)
-    euler = with_globals(forward.euler.__wrapped__, smooth=smooth)
+    euler = getattr(smooth_dynamics, "advance", None)
+    if euler is None:
+        euler = with_globals(forward.euler.__wrapped__, smooth=smooth)
     return with_globals(forward.step.__wrapped__, forward=dynamics, euler=euler)
 
 

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.engines.block import smooth_code
+from usarmjx.engines.block.advance import Advance, fits
 from usarmjx.engines.block.branches import branches_of
 from usarmjx.engines.planar.warp_solids import expand_macros
 
@@ -287,6 +288,9 @@ def smooth_kernel(capacity: int, threads: int) -> Any:  # noqa: ANN401 - Warp's 
 class SmoothDynamics:
     """Function in place of MuJoCo Warp's stages from kinematics to the smooth forces.
 
+    Attributes:
+        advance: Function in place of its integrator, or None if that is needed.
+
     Args:
         model: The model, which `why_not` covers.
         device: Device of its tables.
@@ -301,6 +305,7 @@ class SmoothDynamics:
         bodies: int = CHUNK_BODIES,
         threads: int = THREADS,
     ) -> None:
+        self.advance = Advance(model, device) if fits(model) else None
         tables = make_tables(model, bodies)
         while numbers_of(tables, threads) > MOST_NUMBERS:
             bodies //= 2

@@ -19,13 +19,16 @@ SMOOTH = "mujoco.mjx.third_party.mujoco_warp._src.smooth"
 MOST_SIZE = 16
 """Largest block in registers [degrees of freedom]; 0: MuJoCo Warp's tiles solve all."""
 
-CODE = """
+BEGIN_CODE = """
 #if defined(__CUDA_ARCH__)
 #define UNROLL _Pragma("unroll")
 #else
 #define UNROLL
 #endif
     using wp::sqrt;
+"""
+"""Native macros."""
+LOAD_CODE = """
     const int block = index / worlds, world = index % worlds, start = starts.data[block];
     const int* const places = elements.data + (size_t)block * SIZE * SIZE;
     const float* const values = mass.data + (size_t)world * masses;
@@ -40,6 +43,9 @@ CODE = """
             factor[i][j] = place < masses ? values[place] : 0.0f;
         }
     }
+"""
+"""Native code that loads a block and its right side."""
+SOLVE_CODE = """
     UNROLL
     for (int k = 0; k < SIZE; ++k) {
         const float root = sqrt(factor[k][k]);
@@ -53,17 +59,26 @@ CODE = """
             for (int j = k + 1; j <= i; ++j) factor[i][j] -= factor[i][k] * factor[j][k];
         }
     }
-    float* const found = solution.data + (size_t)world * dofs + start;
     UNROLL
     for (int k = SIZE - 1; k >= 0; --k) {
         x[k] *= inverse[k];
-        found[k] = x[k];
         UNROLL
         for (int i = 0; i < k; ++i) x[i] -= factor[k][i] * x[k];
     }
+"""
+"""Native code of Cholesky's factor, then both triangular systems."""
+STORE_CODE = """
+    float* const found = solution.data + (size_t)world * dofs + start;
+    UNROLL
+    for (int k = 0; k < SIZE; ++k) found[k] = x[k];
+"""
+"""Native code that stores the solution."""
+END_CODE = """
 #undef UNROLL
 """
-"""Native code of a thread: Cholesky's factor, then both triangular systems."""
+"""Native macros, undefined."""
+CODE = BEGIN_CODE + LOAD_CODE + SOLVE_CODE + STORE_CODE + END_CODE
+"""Native code of a thread."""
 
 
 @cache
