@@ -51,6 +51,7 @@ from usarmjx.train.mapping.maps import (
     to_robot_frame,
 )
 from usarmjx.train.mapping.planning import PlannerSettings
+from usarmjx.train.tasks import safety
 from usarmjx.train.tasks.buildings import Buildings, arena_notes, note_of
 from usarmjx.train.tasks.clearance import clearance
 from usarmjx.train.tasks.equip import flies, pose_sensor
@@ -311,6 +312,8 @@ class TeamTask(Task):
         haste: Share of the points for a find that it loses by coming at the end of the episode instead of at
             the start, the less the sooner it comes: at 1 it pays for the time that is left, at 0 it pays the
             same whenever it comes.
+        safety: Let robots that skid take the command nearest to their action that keeps clear of what their
+            scanners see and of where others said to be, see `safety.safe_command`.
     """
 
     reports_itself: ClassVar[bool] = True
@@ -330,6 +333,7 @@ class TeamTask(Task):
     price: float = 0.2
     advice: bool = True
     haste: Annotated[float, SHARE] = 1.0
+    safety: bool = False
 
     def scene(self) -> Scene:
         """Return the scene, with room for maps in its messages if nothing else is said."""
@@ -435,15 +439,44 @@ class TeamTask(Task):
 
     def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Return drive values from the actions, and the messages."""
-        groups = zip(self.agent_groups(view.scene), actions, strict=True)
-        drive = {
-            group: self.drive_values(view, memory, view.scene.groups[group], action)
-            for group, action in groups
-        }
+        drive = dict[int, dict[str, jax.Array]]()
+        for group, action in zip(self.agent_groups(view.scene), actions, strict=True):
+            safe = self.safe_actions(view, memory, group, action) if self.safety else action
+            drive[group] = self.drive_values(view, memory, view.scene.groups[group], safe)
         to = jnp.asarray(self.recipients(view.scene))
         flyers = self.planner_settings(view.scene).flyers
         messages = None if view.world.mail is None else compose_messages(memory.belief, to, flyers)
         return Actions(drive=drive, messages=messages)
+
+    def safe_actions(self, view: TaskView, memory: TeamMemory, group: int, action: jax.Array) -> jax.Array:
+        """Return the safe commands nearest to a group's actions (robots, 2); flying robots keep theirs."""
+        scene, belief = view.scene, memory.belief
+        members = scene.groups[group]
+        body = safety.footprint_of(members.robot)
+        if body is None or not has_scanner(members):
+            return action
+        slots, scan = members.slots, scan_of(view, group, belief.pose[members.slots])
+        at = scanner_poses(members, jnp.zeros((len(slots), 3)))
+        outlines = np.zeros((scene.num_robots, 8, 2), np.float32)
+        for one in scene.groups:
+            outlines[one.slots] = safety.outline(*safety.box_of(one.robot))
+        other = np.arange(scene.num_robots) != slots[:, None]
+        age = jnp.where(other, view.time - belief.heard_time[slots], jnp.inf)
+
+        def one(
+            command: jax.Array,
+            at: jax.Array,
+            ranges: jax.Array,
+            pose: jax.Array,
+            heads: jax.Array,
+            age: jax.Array,
+        ) -> jax.Array:
+            seen = safety.beam_points(scan.settings, at, ranges)
+            mates = safety.mate_points(pose, heads[:, :3], age, outlines)
+            return safety.safe_command(body, seen, mates, command)
+
+        facts = action, at, scan.ranges, belief.pose[slots], belief.mate_headers[slots], age
+        return jax.vmap(one)(*facts)
 
     def drive_values(
         self, view: TaskView, memory: TeamMemory, group: RobotGroup, action: jax.Array
