@@ -312,8 +312,8 @@ class TeamTask(Task):
         haste: Share of the points for a find that it loses by coming at the end of the episode instead of at
             the start, the less the sooner it comes: at 1 it pays for the time that is left, at 0 it pays the
             same whenever it comes.
-        safety: Let robots that skid take the command nearest to their action that keeps clear of what their
-            scanners see and of where others said to be, see `safety.safe_command`.
+        safety: Let robots that skid take the command nearest to their action that keeps clear of scanned
+            solids and reported robots.
     """
 
     reports_itself: ClassVar[bool] = True
