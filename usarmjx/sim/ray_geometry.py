@@ -4,6 +4,7 @@ Pure functions of one world. Solids of a robot carry its slot, all others -1. Fo
 too, and the geoms of a robot can be told apart.
 """
 
+import os
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.clock import Time
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
+from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState, arena_index_of
 from usarmjx.models.compile.compose import door_boxes
@@ -116,6 +118,7 @@ class VisibleGeoms(NamedTuple):
         geom_index: Place of each in its robot's `KinematicTree`; 0 for what is no robot's (n,).
         transparency: Share of the light that passes (n,).
         compact: As in `targets.Geoms`, of all of them.
+        fixed: Likewise.
         instance: Their instances, as `cameras.paint.instances` has them (n,); None: one instance for each
             label.
         texture: Codes of what is on them (n,); None: nothing is.
@@ -132,12 +135,27 @@ class VisibleGeoms(NamedTuple):
     geom_index: np.ndarray
     transparency: np.ndarray
     compact: bool = False
+    fixed: bool = False
     instance: Array | None = None
     texture: np.ndarray | None = None
 
 
 def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
-    """Return rows as what rays are cast at."""
+    """Return rows as what rays are cast at.
+
+    Kernels of Warp have what is fixed apart: once for all worlds.
+    """
+    fixed, others = ([row for row in rows if row.fixed == of_them] for of_them in (True, False))
+    if not (fixed and others and warp_in_use() and "pack" not in os.environ.get("USARMJX_OLD_RAYS", "")):
+        return _geoms_of(rows)
+    parts = [_geoms_of(fixed), _geoms_of(others)]
+    names = ("blocks", "kinds", "materials", "compact")
+    joined = {name: getattr(parts[0], name) + getattr(parts[1], name) for name in names}
+    count = [len(part.blocks) for part in parts]
+    return Geoms(**joined, fixed=(True,) * count[0] + (False,) * count[1])
+
+
+def _geoms_of(rows: Sequence[VisibleGeoms]) -> Geoms:
     kind, material, compact = _sorting_keys(rows)
     pos, mat, size, owner = _concatenated(rows, "pos", "mat", "size", "owner")
     return make_geoms(kind, pos, mat, size, owner, material, compact)
@@ -203,7 +221,7 @@ def visible_arena(
         drawn: Whether victims have their visuals, as in pictures, instead of the boxes that sensors' rays
             meet.
     """
-    rows = [_visible(scene.fixed_geoms)]
+    rows = [_visible(scene.fixed_geoms)._replace(fixed=True)]
     here = moved_geom_poses(scene, arena_state, time)
     if here is not None:
         look = scene.moved_geom_table
@@ -229,7 +247,7 @@ def visible_arena(
 def _select_rows(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
     """Return the rows with some indices (m,)."""
     fields = {name: column for name, column in rows._asdict().items() if column is not None}
-    columns = {name: column[which] for name, column in fields.items() if name != "compact"}
+    columns = {name: column[which] for name, column in fields.items() if name not in ("compact", "fixed")}
     return rows._replace(**columns)
 
 

@@ -15,7 +15,7 @@ from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast import RayQuery, brute_force_hits, indexed_blocks, warp_hits
-from usarmjx.sensors.rays.targets import make_geoms, normals
+from usarmjx.sensors.rays.targets import Geoms, make_geoms, normals
 
 pytest.importorskip("warp", reason="needs warp-lang")
 from usarmjx.sensors.rays.incidence_warp import cosines_of_hits
@@ -217,3 +217,41 @@ def test_rays_without_a_direction_meet_nothing():
     assert np.isinf(np.asarray(found.distance)[~aimed]).all()
     whole = warp_hits(seen, (start, along))
     np.testing.assert_array_equal(found.geom_index[aimed], whole.geom_index[aimed])
+
+
+@pytest.mark.parametrize("incidence", [False, True])
+def test_fixed_geoms_are_met_among_those_of_each_world(incidence):
+    """Walls that all worlds share, of two kinds, and what is in each of them; they are packed once."""
+    rng = np.random.default_rng(11)
+    walls = [geoms_of(kind, rng, 40) for kind in (6, TRIANGLE_KIND)]
+    worlds = [[geoms_of(kind, rng, 7) for kind in (5, 2)] for _ in range(3)]
+    stacked = [jax.tree.map(lambda *x: jnp.stack(x), *(w[i].blocks[0] for w in worlds)) for i in range(2)]
+    rays = tuple(x.reshape(3, 100, 3) for x in rays_at(rng, 300))
+
+    def geoms(blocks):
+        still = tuple(wall.blocks[0] for wall in walls)
+        return Geoms(
+            blocks=still + tuple(blocks),
+            kinds=(6, TRIANGLE_KIND, 5, 2),
+            materials=("opaque",) * 4,
+            fixed=(True, True, False, False),
+            compact=(False, False, True, True),
+        )
+
+    def one(blocks, start, along):
+        seen = indexed_blocks(geoms(blocks))
+        first = warp_hits(seen, (start, along))
+        return first, cosines_of_hits(seen, (start, along), first) if incidence else first.distance
+
+    cast = jax.jit(jax.vmap(one))
+    found, cosine = cast(stacked, *rays)
+    text = cast.lower(stacked, *rays).as_text()
+    assert text.count("tensor<3x1x6x32x4xf32>") > 0
+    for w, world in enumerate(worlds):
+        here, own = geoms([part.blocks[0] for part in world]), (rays[0][w], rays[1][w])
+        alone = brute_force_hits(indexed_blocks(here), *own)
+        np.testing.assert_array_equal(found.geom_index[w], alone.geom_index)
+        assert len({0, 1, 2, 3} & set(np.digitize(alone.geom_index, [40, 80, 87]))) == 4
+        if incidence:
+            plain = jnp.abs((normals(here, alone, *own) * own[1]).sum(-1))
+            assert (np.abs(cosine[w] - plain) > ATOL).sum() <= 2

@@ -15,18 +15,19 @@ from usarmjx.sensors.rays import bundles
 from usarmjx.sensors.rays.kernels import TINY
 from usarmjx.sensors.rays.raycast_warp import (
     BEYOND,
-    GROUP_SIZE,
     LAST_KEY,
     SLOT_BITS,
     WarpBest,
     WarpCone,
+    WorldGeoms,
     box_key,
-    geom_row,
+    geom_of,
     lanes,
     least_key_of_lanes,
-    load_vec4,
     local,
+    row_of,
     thread_index,
+    world_geoms,
 )
 from usarmjx.sensors.rays.warp_kinds import distance_of, normal_of
 
@@ -114,13 +115,13 @@ else:
 
 
 @wp.func
-def _gap(geoms: wp.array[wp.vec4], at: int, point: wp.vec3, exclude: float) -> float:
+def _gap(at: wp.uint64, point: wp.vec3, exclude: float) -> float:
     """Return the distance of a point from a geom's bounding box, infinite for an excluded geom [m]."""
-    pos = load_vec4(geoms, at)
-    r0 = load_vec4(geoms, at + 32)
-    r1 = load_vec4(geoms, at + 64)
-    r2 = load_vec4(geoms, at + 96)
-    half = load_vec4(geoms, at + 160)
+    pos = row_of(at, 0)
+    r0 = row_of(at, 1)
+    r1 = row_of(at, 2)
+    r2 = row_of(at, 3)
+    half = row_of(at, 5)
     away = local(r0, r1, r2, point - wp.vec3(pos[0], pos[1], pos[2]))
     x = wp.max(wp.abs(away[0]) - half[0], 0.0)
     y = wp.max(wp.abs(away[1]) - half[1], 0.0)
@@ -184,9 +185,8 @@ def _listed(near: _NearGeoms, place: int) -> int:
 
 
 @wp.func
-def _list_near_geoms(  # noqa: PLR0913 - a struct of them would do no more
-    geoms: wp.array[wp.vec4],
-    first: int,
+def _list_near_geoms(
+    world: WorldGeoms,
     count: int,
     center: wp.vec3,
     spread: float,
@@ -204,7 +204,7 @@ def _list_near_geoms(  # noqa: PLR0913 - a struct of them would do no more
     begin = wp.int32(0)
     while begin < count:
         slot = begin + column
-        gap = _gap(geoms, first + geom_row(wp.min(slot, count - 1)), center, exclude)
+        gap = _gap(geom_of(world, wp.min(slot, count - 1)), center, exclude)
         if width == 1:
             gaps[slot] = gap
         else:
@@ -243,9 +243,8 @@ def _list_near_geoms(  # noqa: PLR0913 - a struct of them would do no more
 
 
 @wp.func
-def _first_of_fan(  # noqa: PLR0913 - as above
-    geoms: wp.array[wp.vec4],
-    first: int,
+def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
+    world: WorldGeoms,
     near: _NearGeoms,
     cone: WarpCone,
     along: wp.vec3,
@@ -267,16 +266,16 @@ def _first_of_fan(  # noqa: PLR0913 - as above
         if low - near.spread > limit:
             row = near.end
         else:
-            at = first + geom_row(_listed(near, wp.min(row + column, near.end - 1)))
-            mine = box_key(geoms, at, cone, exclude, column, near.end - row)
+            at = geom_of(world, _listed(near, wp.min(row + column, near.end - 1)))
+            mine = box_key(at, cone, exclude, column, near.end - row)
             key = least_key_of_lanes(mine)
             while key < BEYOND and key <= (wp.cast(limit, wp.uint32) | SLOT_BITS):
-                at = first + geom_row(_listed(near, row + wp.int32(key & SLOT_BITS)))
-                p = load_vec4(geoms, at)
-                r0 = load_vec4(geoms, at + 32)
-                r1 = load_vec4(geoms, at + 64)
-                r2 = load_vec4(geoms, at + 96)
-                s = load_vec4(geoms, at + 128)
+                at = geom_of(world, _listed(near, row + wp.int32(key & SLOT_BITS)))
+                p = row_of(at, 0)
+                r0 = row_of(at, 1)
+                r1 = row_of(at, 2)
+                r2 = row_of(at, 3)
+                s = row_of(at, 4)
                 key = least_key_of_lanes(wp.where(mine > key, mine, LAST_KEY))
                 size = wp.vec3(s[0], s[1], s[2])
                 there = local(r0, r1, r2, cone.tip - wp.vec3(p[0], p[1], p[2]))
@@ -301,8 +300,10 @@ def _first_of_fan(  # noqa: PLR0913 - as above
 
 @wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=64)
 def cast_first_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
-    geoms: wp.array[wp.vec4],
-    world: wp.array[int],
+    own: wp.array[wp.vec4],
+    fixed: wp.array[wp.vec4],
+    own_world: wp.array[int],
+    fixed_world: wp.array[int],
     exclude: wp.array[int],
     wanted: wp.array[int],
     pos: wp.array[wp.vec3],
@@ -310,6 +311,8 @@ def cast_first_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     lines: wp.array[wp.vec3],
     cones: wp.array[wp.vec4],
     least: wp.array[float],
+    begin_fixed: int,
+    end_fixed: int,
     count: int,
     fans: int,
     per_fan: int,
@@ -326,7 +329,7 @@ def cast_first_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     if wanted[cast] <= 0:
         _miss_all(cast * fans * per_fan, fans * per_fan, lane, distance, geom)
         return
-    first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
+    world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
     other = float(exclude[cast])
     center = wp.vec3(0.0, 0.0, 0.0)
     for fan in range(fans):
@@ -334,7 +337,7 @@ def cast_first_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     spread = wp.float32(0.0)
     for fan in range(fans):
         spread = wp.max(spread, wp.length(pos[cast * fans + fan] - center))
-    near = _list_near_geoms(geoms, first, count, center, spread + CONE_MARGIN, reach, other, column)
+    near = _list_near_geoms(world, count, center, spread + CONE_MARGIN, reach, other, column)
     for fan in range(fans):
         turn = mat[cast * fans + fan]
         shape = cones[fan]
@@ -344,7 +347,7 @@ def cast_first_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
         cone.tip_radius = CONE_MARGIN
         cone.slope = shape[3]
         along = turn * lines[fan * per_fan + ray]
-        best = _first_of_fan(geoms, first, near, cone, along, reach, least[fan], other, column)
+        best = _first_of_fan(world, near, cone, along, reach, least[fan], other, column)
         distance[(cast * fans + fan) * per_fan + ray] = best.distance
         geom[(cast * fans + fan) * per_fan + ray] = int(best.geom)
 

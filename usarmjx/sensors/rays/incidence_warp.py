@@ -11,13 +11,13 @@ from usarmjx.base.backend import Array
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast_warp import (
-    GROUP_SIZE,
-    geom_row,
+    apart,
+    geom_of,
     integer_quotient,
-    load_vec4,
     local,
-    pack,
+    row_of,
     thread_index,
+    world_geoms,
 )
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits, merge_vmaps
 from usarmjx.sensors.rays.warp_kinds import normal_of
@@ -29,13 +29,13 @@ BLOCK_DIM = 256
 
 
 @wp.func
-def _cosine(geoms: wp.array[wp.vec4], at: int, start: wp.vec3, along: wp.vec3, distance: float) -> float:
+def _cosine(at: wp.uint64, start: wp.vec3, along: wp.vec3, distance: float) -> float:
     """Return the cosine between a ray and the surface normal at its hit."""
-    pos = load_vec4(geoms, at)
-    r0 = load_vec4(geoms, at + 32)
-    r1 = load_vec4(geoms, at + 64)
-    r2 = load_vec4(geoms, at + 96)
-    s = load_vec4(geoms, at + 128)
+    pos = row_of(at, 0)
+    r0 = row_of(at, 1)
+    r1 = row_of(at, 2)
+    r2 = row_of(at, 3)
+    s = row_of(at, 4)
     point = local(r0, r1, r2, start + distance * along - wp.vec3(pos[0], pos[1], pos[2]))
     normal = normal_of(int(r1[3]), point, wp.vec3(s[0], s[1], s[2]))
     return wp.abs(wp.dot(normal, local(r0, r1, r2, along)))
@@ -43,14 +43,18 @@ def _cosine(geoms: wp.array[wp.vec4], at: int, start: wp.vec3, along: wp.vec3, d
 
 @wp.kernel(enable_backward=False, grid_stride=False)
 def cosines_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
-    geoms: wp.array[wp.vec4],
-    world: wp.array[int],
+    own: wp.array[wp.vec4],
+    fixed: wp.array[wp.vec4],
+    own_world: wp.array[int],
+    fixed_world: wp.array[int],
     distance: wp.array[float],
     geom: wp.array[int],
     pos: wp.array[wp.vec3],
     mat: wp.array[wp.mat33],
     lines: wp.array[wp.vec3],
     slots: wp.array[int],
+    begin_fixed: int,
+    end_fixed: int,
     count: int,
     rays: int,
     fans: int,
@@ -63,20 +67,25 @@ def cosines_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
         cast = integer_quotient(t, rays)
         ray = t - cast * rays
         fan = cast * fans + integer_quotient(ray, integer_quotient(rays, fans))
-        at = world[cast] * ((count + 31) >> 5) * GROUP_SIZE + geom_row(slots[geom[t]])
-        found = _cosine(geoms, at, pos[fan], mat[fan] * lines[ray], distance[t])
+        world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
+        at = geom_of(world, slots[geom[t]])
+        found = _cosine(at, pos[fan], mat[fan] * lines[ray], distance[t])
     cosine[t] = found
 
 
 @wp.kernel(enable_backward=False, grid_stride=False)
 def cosines_of_rays(  # noqa: PLR0913 - as above
-    geoms: wp.array[wp.vec4],
-    world: wp.array[int],
+    own: wp.array[wp.vec4],
+    fixed: wp.array[wp.vec4],
+    own_world: wp.array[int],
+    fixed_world: wp.array[int],
     distance: wp.array[float],
     geom: wp.array[int],
     origin: wp.array[wp.vec3],
     direction: wp.array[wp.vec3],
     slots: wp.array[int],
+    begin_fixed: int,
+    end_fixed: int,
     count: int,
     rays: int,
     cosine: wp.array[float],
@@ -85,8 +94,10 @@ def cosines_of_rays(  # noqa: PLR0913 - as above
     t = thread_index(wp.tid())
     found = wp.float32(0.0)
     if geom[t] >= 0:
-        at = world[integer_quotient(t, rays)] * ((count + 31) >> 5) * GROUP_SIZE + geom_row(slots[geom[t]])
-        found = _cosine(geoms, at, origin[t], direction[t], distance[t])
+        cast = integer_quotient(t, rays)
+        world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
+        at = geom_of(world, slots[geom[t]])
+        found = _cosine(at, origin[t], direction[t], distance[t])
     cosine[t] = found
 
 
@@ -122,16 +133,29 @@ def cosines_of_hits(
     of_fans = isinstance(rays, Fans)
     given = (rays.pos, rays.mat) if of_fans else rays
     lines = (np.asarray(rays.directions, np.float32).reshape(-1, 3),) if of_fans else ()
-    numbers = [sum(info.num_geoms for info, _ in work), count, *([len(rays.pos)] if of_fans else [])]
+    packed, fixed_slots = apart(work)
+    numbers = [
+        *fixed_slots,
+        sum(info.num_geoms for info, _ in work),
+        count,
+        *([len(rays.pos)] if of_fans else []),
+    ]
     slots = _slots_of(work)
 
-    def run(geoms: Array, world: Array, *casts: Array) -> Array:
+    def run(geoms: tuple[Array, Array], world: tuple[Array, Array], *casts: Array) -> Array:
         arrays = [x.reshape(-1, *x.shape[2:]) for x in casts]
-        size = len(world) * count
+        size = len(world[0]) * count
         (found,) = _kernel("fans" if of_fans else "rays")(
-            geoms.reshape(-1, 4), world, *arrays, *lines, slots, *numbers, output_dims=size, launch_dims=size
+            *(x.reshape(-1, 4) for x in geoms),
+            *world,
+            *arrays,
+            *lines,
+            slots,
+            *numbers,
+            output_dims=size,
+            launch_dims=size,
         )
-        return found.reshape(len(world), count)
+        return found.reshape(len(world[0]), count)
 
     casts = [first.distance, first.geom_index, *(jnp.asarray(x, jnp.float32) for x in given)]
-    return merge_vmaps(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))[0]
+    return merge_vmaps(run)(packed, (jnp.zeros(1, jnp.int32),) * 2, *(x[None] for x in casts))[0]

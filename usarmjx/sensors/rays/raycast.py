@@ -173,16 +173,17 @@ def distance_to(kind: int, geom: GeomBlock, origin: Array, direction: Array) -> 
 
 
 def indexed_blocks(geoms: Geoms, transparent: frozenset[str] = frozenset()) -> list[IndexedBlock]:
-    """Return the geoms that block rays; compact ones last, as the others may hide them."""
-    compact = geoms.compact or (False,) * len(geoms.blocks)
+    """Return the geoms that block rays; compact ones last, as others may hide them, fixed ones together."""
+    compact, fixed = (given or (False,) * len(geoms.blocks) for given in (geoms.compact, geoms.fixed))
     found, first = list[IndexedBlock](), 0
-    for kind, block, small, material in zip(geoms.kinds, geoms.blocks, compact, geoms.materials, strict=True):
+    rows = zip(geoms.kinds, geoms.blocks, compact, fixed, geoms.materials, strict=True)
+    for kind, block, small, still, material in rows:
         count = len(block.owner)
         if material not in transparent:
-            info = GeomBlockInfo(kind, count, first, small or kind in COMPACT_KINDS)
+            info = GeomBlockInfo(kind, count, first, small or kind in COMPACT_KINDS, still)
             found.append(IndexedBlock(info, block))
         first += count
-    return sorted(found, key=lambda part: part.info.compact)
+    return sorted(found, key=lambda part: (part.info.compact, part.info.fixed != part.info.compact))
 
 
 @jax.named_scope("nearest_hits")

@@ -134,6 +134,61 @@ def load_vec4(values: wp.array[wp.vec4], index: int) -> wp.vec4:
     ...
 
 
+@wp.func_native("return reinterpret_cast<wp::uint64>(values.data + index);")
+def _address(values: wp.array[wp.vec4], index: int) -> wp.uint64: ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const float4 v = __ldg(reinterpret_cast<const float4*>(geom) + 32 * row);
+    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+#else
+    return reinterpret_cast<const wp::vec_t<4, wp::float32>*>(geom)[32 * row];
+#endif
+""")
+def row_of(geom: wp.uint64, row: int) -> wp.vec4:
+    """Return a row of a geom (see `pack`) in one load, from its address."""
+    ...
+
+
+@wp.struct
+class WorldGeoms:
+    """Addresses of the geoms of a world: its own, and those of slots in [begin, end), which worlds share."""
+
+    own: wp.uint64
+    fixed: wp.uint64
+    begin: int
+    end: int
+
+
+@wp.func
+def world_geoms(
+    own: wp.array[wp.vec4],
+    own_world: int,
+    fixed: wp.array[wp.vec4],
+    fixed_world: int,
+    begin: int,
+    end: int,
+    count: int,
+) -> WorldGeoms:
+    """Return where the geoms of a world are; `count` of both."""
+    world = WorldGeoms()
+    world.own = _address(own, own_world * wp.max((count - (end - begin) + 31) >> 5, 1) * GROUP_SIZE)
+    world.fixed = _address(fixed, fixed_world * wp.max((end - begin + 31) >> 5, 1) * GROUP_SIZE)
+    world.begin = begin
+    world.end = end
+    return world
+
+
+@wp.func
+def geom_of(world: WorldGeoms, slot: int) -> wp.uint64:
+    """Return the address of the first row of a world's geom."""
+    is_fixed = slot >= world.begin and slot < world.end
+    index = wp.where(slot >= world.end, slot - (world.end - world.begin), slot)
+    index = wp.where(is_fixed, slot - world.begin, index)
+    return wp.where(is_fixed, world.fixed, world.own) + wp.uint64(geom_row(index) * 16)
+
+
 @wp.struct
 class WarpCone:
     """As `bundles.Cone`."""
@@ -193,15 +248,13 @@ def _key(near: float, owner: float, exclude: float, cone: WarpCone, slot: int, n
 
 
 @wp.func
-def box_key(
-    geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float, slot: int, number: int
-) -> wp.uint32:
+def box_key(at: wp.uint64, cone: WarpCone, exclude: float, slot: int, number: int) -> wp.uint32:
     """Return the key of a geom by its bounding box."""
-    pos = load_vec4(geoms, at)
-    r0 = load_vec4(geoms, at + 32)
-    r1 = load_vec4(geoms, at + 64)
-    r2 = load_vec4(geoms, at + 96)
-    half = load_vec4(geoms, at + 160)
+    pos = row_of(at, 0)
+    r0 = row_of(at, 1)
+    r1 = row_of(at, 2)
+    r2 = row_of(at, 3)
+    half = row_of(at, 5)
     tip = local(r0, r1, r2, cone.tip - wp.vec3(pos[0], pos[1], pos[2]))
     axis = local(r0, r1, r2, cone.axis)
     near = cone_box_distance(wp.vec3(half[0], half[1], half[2]), tip, axis, cone.tip_radius, cone.slope)
@@ -209,12 +262,10 @@ def box_key(
 
 
 @wp.func
-def _sphere_key(
-    geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float, slot: int, number: int
-) -> wp.uint32:
+def _sphere_key(at: wp.uint64, cone: WarpCone, exclude: float, slot: int, number: int) -> wp.uint32:
     """Return the key of a geom by its bounding sphere."""
-    pos = load_vec4(geoms, at)
-    r0 = load_vec4(geoms, at + 32)
+    pos = row_of(at, 0)
+    r0 = row_of(at, 1)
     away = wp.vec3(pos[0], pos[1], pos[2]) - cone.tip
     near = cone_sphere_distance(away, cone.axis, pos[3], cone.tip_radius, cone.slope)
     return _key(near, r0[3], exclude, cone, slot, number)
@@ -248,8 +299,7 @@ def _next_key(keys: Keys, after: wp.uint32) -> wp.uint32:
 
 @wp.func
 def _nearest(  # noqa: PLR0913 - a struct of them would do no more
-    geoms: wp.array[wp.vec4],
-    first: int,
+    world: WorldGeoms,
     wide: int,
     count: int,
     lane: int,
@@ -273,22 +323,22 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
             # Lanes past the end load the last geom; `_key` leaves it out by its slot.
             for k in range(KEYS_PER_LANE):
                 slot = k * width + lane
-                at = first + geom_row(wp.min(begin + slot, end - 1))
-                keys[k] = box_key(geoms, at, cone, exclude, slot, end - begin)
+                at = geom_of(world, wp.min(begin + slot, end - 1))
+                keys[k] = box_key(at, cone, exclude, slot, end - begin)
         else:
             for k in range(KEYS_PER_LANE):
                 slot = k * width + lane
-                at = first + geom_row(wp.min(begin + slot, end - 1))
-                keys[k] = _sphere_key(geoms, at, cone, exclude, slot, end - begin)
+                at = geom_of(world, wp.min(begin + slot, end - 1))
+                keys[k] = _sphere_key(at, cone, exclude, slot, end - begin)
         key = _first_key(keys)
         # All lanes stay in the loop until none needs the next geom: the shuffles need the whole warp.
         while key < BEYOND and _any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
-            at = first + geom_row(begin + wp.int32(key & SLOT_BITS))
-            pos = load_vec4(geoms, at)
-            r0 = load_vec4(geoms, at + 32)
-            r1 = load_vec4(geoms, at + 64)
-            r2 = load_vec4(geoms, at + 96)
-            s = load_vec4(geoms, at + 128)
+            at = geom_of(world, begin + wp.int32(key & SLOT_BITS))
+            pos = row_of(at, 0)
+            r0 = row_of(at, 1)
+            r1 = row_of(at, 2)
+            r2 = row_of(at, 3)
+            s = row_of(at, 4)
             key = _next_key(keys, key)
             away = start - wp.vec3(pos[0], pos[1], pos[2])
             t = distance_of(
@@ -305,14 +355,18 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
 
 @wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=56)
 def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
-    geoms: wp.array[wp.vec4],
-    world: wp.array[int],
+    own: wp.array[wp.vec4],
+    fixed: wp.array[wp.vec4],
+    own_world: wp.array[int],
+    fixed_world: wp.array[int],
     exclude: wp.array[int],
     wanted: wp.array[int],
     pos: wp.array[wp.vec3],
     mat: wp.array[wp.mat33],
     lines: wp.array[wp.vec3],
     wide: int,
+    begin_fixed: int,
+    end_fixed: int,
     count: int,
     rays: int,
     bundles: int,
@@ -336,10 +390,9 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
         if fans > 1:
             # All fans of a cast have the same number of rays, one fan after the other.
             fan += integer_quotient(ray, integer_quotient(rays, fans))
-        first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
+        world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
         best = _nearest(
-            geoms,
-            first,
+            world,
             wide,
             count,
             lane & (lanes() - 1),
@@ -355,13 +408,17 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
 
 @wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=56)
 def cast_rays(  # noqa: PLR0913 - as above
-    geoms: wp.array[wp.vec4],
-    world: wp.array[int],
+    own: wp.array[wp.vec4],
+    fixed: wp.array[wp.vec4],
+    own_world: wp.array[int],
+    fixed_world: wp.array[int],
     exclude: wp.array[int],
     wanted: wp.array[int],
     origin: wp.array[wp.vec3],
     direction: wp.array[wp.vec3],
     wide: int,
+    begin_fixed: int,
+    end_fixed: int,
     count: int,
     rays: int,
     bundles: int,
@@ -382,10 +439,9 @@ def cast_rays(  # noqa: PLR0913 - as above
     along = direction[ray]
     aimed = wp.length_sq(along) > 0.0
     if wanted[cast] > 0 and _any_lane(aimed):
-        first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
+        world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
         best = _nearest(
-            geoms,
-            first,
+            world,
             wide,
             count,
             lane & (lanes() - 1),
@@ -401,13 +457,17 @@ def cast_rays(  # noqa: PLR0913 - as above
 
 @wp.kernel(enable_backward=False, grid_stride=False, cuda_max_registers=56)
 def cast_single_rays(  # noqa: PLR0913 - as above
-    geoms: wp.array[wp.vec4],
-    world: wp.array[int],
+    own: wp.array[wp.vec4],
+    fixed: wp.array[wp.vec4],
+    own_world: wp.array[int],
+    fixed_world: wp.array[int],
     exclude: wp.array[int],
     wanted: wp.array[int],
     origin: wp.array[wp.vec3],
     direction: wp.array[wp.vec3],
     wide: int,
+    begin_fixed: int,
+    end_fixed: int,
     count: int,
     rays: int,
     reach: float,
@@ -418,7 +478,7 @@ def cast_single_rays(  # noqa: PLR0913 - as above
     t = thread_index(wp.tid())
     cast = t >> 5
     lane = t & 31
-    first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
+    world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
     # On a CPU each lane is a thread of its own, and takes only the rays that it keeps.
     step = wp.where(lanes() == 1, 32, 1)
     begin = wp.int32(0)
@@ -432,8 +492,7 @@ def cast_single_rays(  # noqa: PLR0913 - as above
             along = direction[cast * rays + i]
             if wp.length_sq(along) > 0.0:
                 best = _nearest(
-                    geoms,
-                    first,
+                    world,
                     wide,
                     count,
                     lane & (lanes() - 1),
@@ -480,3 +539,26 @@ def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
         for a, b in zip(rows, last, strict=True)
     ]
     return jnp.stack([jnp.concatenate(pair, -1) for pair in single])
+
+
+def apart(
+    work: Sequence[tuple[GeomBlockInfo, GeomBlock]],
+) -> tuple[tuple[jax.Array, jax.Array], tuple[int, int]]:
+    """Return a world's geoms packed, its own and the fixed ones, and first and last slot of these plus one.
+
+    Args:
+        work: The geoms; fixed ones one after the other.
+
+    Returns:
+        Each (1, groups, 6, 32, 4), see `pack`; one group of zeros for none.
+    """
+    parts = [[part for part in work if part[0].fixed == fixed] for fixed in (False, True)]
+    begin = end = 0
+    for info, _ in work:
+        if info.fixed:
+            break
+        begin += info.num_geoms
+    end = begin + sum(info.num_geoms for info, _ in parts[1])
+    none = jnp.zeros((1, 6, 32, 4), jnp.float32)
+    own, fixed = ((pack(part) if part else none)[None] for part in parts)
+    return (own, fixed), (begin, end)

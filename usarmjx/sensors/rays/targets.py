@@ -32,12 +32,13 @@ MIN_GRADIENT_COSINE = 1e-3
 
 
 class GeomBlockInfo(NamedTuple):
-    """Static properties of a block: geom type, number of geoms, index of the first, and compactness."""
+    """Static properties of a block: geom type, number of geoms, index of the first, and as in `Geoms`."""
 
     kind: int
     num_geoms: int
     first_index: int
     compact: bool
+    fixed: bool = False
 
 
 class GeomBlock(Node, kw_only=True):
@@ -65,12 +66,14 @@ class Geoms(Node, kw_only=True):
         materials: Material of each block; a member of `shapes.MATERIALS`.
         compact: Whether the bounding sphere is a good approximation of each geom of a block, as for robots'
             parts and unlike walls; empty: false for all.
+        fixed: Whether each block is where it is in all worlds and at all times; empty: false for all.
     """
 
     blocks: tuple[GeomBlock, ...]
     kinds: tuple[int, ...] = struct.field(pytree_node=False)
     materials: tuple[str, ...] = struct.field(pytree_node=False)
     compact: tuple[bool, ...] = struct.field(pytree_node=False, default=())
+    fixed: tuple[bool, ...] = struct.field(pytree_node=False, default=())
 
 
 def check_ray_kinds(geom_types: Sequence[int], names: Sequence[str]) -> None:
@@ -221,20 +224,28 @@ def merge_vmaps(run: Callable[..., Any]) -> Callable[..., Any]:
     """Return `run(geoms, world, *casts)` with a batching rule: vmaps lengthen its axes.
 
     `geoms` has an axis over worlds, `world` has the world of each cast (casts,), and all other arguments and
-    the results have an axis over casts.
+    the results have an axis over casts. Both may be tuples, of geoms in worlds of their own.
     """
     call = custom_vmap(run)
 
     @call.def_vmap
-    def mapped(size: int, batched: Sequence[bool], geoms: Array, *casts: Array) -> tuple[Any, Any]:
-        pairs = zip(casts, batched[1:], strict=True)
-        world, *rest = (x if own else jnp.broadcast_to(x, (size, *x.shape)) for x, own in pairs)
-        # Separate worlds: number them consecutively, one batch entry after the other.
-        if batched[0]:
-            world = world + geoms.shape[1] * jnp.arange(size, dtype=jnp.int32)[:, None]
-            geoms = geoms.reshape(-1, *geoms.shape[2:])
-        found = merge_vmaps(run)(geoms, *(x.reshape(-1, *x.shape[2:]) for x in (world, *rest)))
-        found = jax.tree.map(lambda x: x.reshape(*world.shape, *x.shape[1:]), found)
+    def mapped(size: int, batched: Any, geoms: Any, world: Any, *casts: Array) -> tuple[Any, Any]:  # noqa: ANN401 - trees
+        def spread(x: Array, own: bool) -> Array:
+            return x if own else jnp.broadcast_to(x, (size, *x.shape))
+
+        def number(one: Array, x: Array, own: bool) -> Array:
+            # Separate worlds: number them consecutively, one batch entry after the other.
+            return one + x.shape[1] * jnp.arange(size, dtype=jnp.int32)[:, None] if own else one
+
+        def flat(x: Array) -> Array:
+            return x.reshape(-1, *x.shape[2:])
+
+        world = jax.tree.map(number, jax.tree.map(spread, world, batched[1]), geoms, batched[0])
+        geoms = jax.tree.map(lambda x, own: flat(x) if own else x, geoms, batched[0])
+        rest = [spread(x, own) for x, own in zip(casts, batched[2:], strict=True)]
+        found = merge_vmaps(run)(geoms, jax.tree.map(flat, world), *map(flat, rest))
+        shape = jax.tree.leaves(world)[0].shape
+        found = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), found)
         return found, jax.tree.map(lambda _: True, found)
 
     return call

@@ -14,7 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays import first_of_fans_warp, raycast_warp
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.rays.raycast_warp import MAX_BUNDLE, pack
+from usarmjx.sensors.rays.raycast_warp import MAX_BUNDLE, apart
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, merge_vmaps
 
 OLD = set(os.environ.get("USARMJX_OLD_RAYS", "").split(","))
@@ -48,12 +48,12 @@ def _bundle_of(size: int) -> int:
 
 def _launch_of_rays(count: int, bundle_size: int, numbers: Sequence[float]) -> _Launch:
     """Return how single rays are cast; numbers are those of `nearest_of_bundles`."""
-    wide, geoms, reach = numbers
+    *geoms, reach = numbers
     if bundle_size == 1 and "tags" not in OLD:
-        return _Launch("cast_single_rays", 1, [wide, geoms, count, reach])
+        return _Launch("cast_single_rays", 1, [*geoms, count, reach])
     size = _bundle_of(bundle_size)
     bundles = -(-count // size)
-    return _Launch("cast_rays", bundles, [wide, geoms, count, bundles, size, reach])
+    return _Launch("cast_rays", bundles, [*geoms, count, bundles, size, reach])
 
 
 def finds_first_only(
@@ -69,15 +69,15 @@ def _launch_of_fans(
     directions: np.ndarray, bundle_size: int, least_cosines: tuple[float, ...], numbers: Sequence[float]
 ) -> _Launch:
     """Return how fans are cast, likewise; `least_cosines` if only first hits are to be found."""
-    (fans, per_fan, _), (wide, geoms, reach) = directions.shape, numbers
+    (fans, per_fan, _), (*geoms, reach) = directions.shape, numbers
     lines = np.asarray(directions, np.float32)
     flat = lines.reshape(-1, 3)
     if least_cosines:
         fixed = [flat, first_of_fans_warp.cones_of(lines), np.array(least_cosines, np.float32)]
-        return _Launch("cast_first_of_fans", 1, [*fixed, geoms, fans, per_fan, reach])
+        return _Launch("cast_first_of_fans", 1, [*fixed, *geoms[1:], fans, per_fan, reach])
     size = _bundle_of(bundle_size)
     bundles = -(-len(flat) // size)
-    return _Launch("cast_fans", bundles, [flat, wide, geoms, len(flat), bundles, size, reach, fans])
+    return _Launch("cast_fans", bundles, [flat, *geoms, len(flat), bundles, size, reach, fans])
 
 
 def nearest_of_bundles(
@@ -107,16 +107,20 @@ def nearest_of_bundles(
     if not work or not count:
         return jnp.full(count, jnp.inf), jnp.full(count, -1, jnp.int32)
     wide = sum(info.num_geoms for info, _ in work if not info.compact)
-    numbers = wide, sum(info.num_geoms for info, _ in work), min(max_distance, UNLIMITED_DISTANCE)
+    packed, fixed_slots = apart(work)
+    geoms = sum(info.num_geoms for info, _ in work)
+    numbers = wide, *fixed_slots, geoms, min(max_distance, UNLIMITED_DISTANCE)
     if isinstance(rays, Fans):
         first_only = finds_first_only(work, rays.directions, least_cosines)
         launch = _launch_of_fans(rays.directions, bundle_size, least_cosines if first_only else (), numbers)
     else:
         launch = _launch_of_rays(count, bundle_size, numbers)
 
-    def run(geoms: Array, world: Array, exclude: Array, wanted: Array, *given: Array) -> tuple[Array, ...]:
-        casts = len(world)
-        arrays = [geoms.reshape(-1, 4), world, exclude, wanted]
+    def run(
+        geoms: tuple[Array, Array], world: tuple[Array, Array], exclude: Array, wanted: Array, *given: Array
+    ) -> tuple[Array, ...]:
+        casts = len(exclude)
+        arrays = [*(x.reshape(-1, 4) for x in geoms), *world, exclude, wanted]
         arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans or rays of all casts on one axis
         threads = casts * launch.warps * MAX_BUNDLE
         if threads > MAX_THREADS:
@@ -130,5 +134,5 @@ def nearest_of_bundles(
 
     asked = [jnp.asarray(number).astype(jnp.int32) for number in exclude_and_wanted]
     casts = [*asked, *(jnp.asarray(x, jnp.float32) for x in given)]
-    found = merge_vmaps(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))
+    found = merge_vmaps(run)(packed, (jnp.zeros(1, jnp.int32),) * 2, *(x[None] for x in casts))
     return found[0][0], found[1][0]
