@@ -1,5 +1,6 @@
 """Surroundings of the sensors besides their robot and ray hits: victims and RFID tags."""
 
+import os
 from types import ModuleType
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 from usarmjx.base.backend import Array, numpy_backend, on_numpy, xp
 from usarmjx.base.clock import Time
 from usarmjx.base.nodes import Node
+from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import (
     VictimTable,
@@ -64,6 +66,11 @@ def nearest(distance: Array, count: int) -> Array:
     if on_numpy():
         # Stable, as top_k is: equal distances keep the order of both libraries alike.
         return np.argsort(distance, stable=True)[..., :count]
+    if warp_in_use() and "sort" not in os.environ.get("USARMJX_OLD_RAYS", ""):
+        from usarmjx.sensors.nearest_warp import MOST, nearest_of_rows
+
+        if count <= distance.shape[-1] <= MOST:
+            return nearest_of_rows(distance, count)
     return jax.lax.top_k(-distance, count)[1]
 
 
