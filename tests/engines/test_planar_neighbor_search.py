@@ -2,7 +2,7 @@
 
 import re
 import sys
-from functools import partial
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -65,9 +65,9 @@ SCENES = {
 }
 
 
-@pytest.fixture
-def compared(monkeypatch):
-    """What both found in each step, where worlds come to by JAX."""
+@lru_cache(maxsize=1)
+def compared(scene):
+    """What both found in each step, around robots and below them, where worlds come to by JAX."""
     looks, grounds = [], []
 
     def keep(kept, *what):
@@ -91,8 +91,10 @@ def compared(monkeypatch):
         keep(grounds, ground_on_jax(solids, around, prints, proposed), *found)
         return ground_on_jax(solids, around, prints, proposed)
 
-    monkeypatch.setattr(planar, "update_neighbors", around)
-    monkeypatch.setattr(planar, "ground_below_robots", ground)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planar, "update_neighbors", around)
+        patch.setattr(planar, "ground_below_robots", ground)
+        driven(*SCENES[scene])
     return looks, grounds
 
 
@@ -127,9 +129,8 @@ def of_robots(around):
 
 @pytest.mark.every_run("what flies over levels")
 @pytest.mark.parametrize("scene", SCENES)
-def test_robots_look_around_as_by_jax_and_only_those_that_need_it(scene, compared):
-    driven(*SCENES[scene])
-    looks, shares = compared[0], []
+def test_robots_look_around_as_by_jax_and_only_those_that_need_it(scene):
+    (looks, _), shares = compared(scene), []
     assert len(looks) == STEPS
     for known, anew, found, stays_valid in looks:
         before, truth, after = (of_robots(one) for one in (known, anew, found))
@@ -155,9 +156,9 @@ def test_robots_look_around_as_by_jax_and_only_those_that_need_it(scene, compare
 
 @pytest.mark.every_run("what flies over levels")
 @pytest.mark.parametrize("scene", SCENES)
-def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scene, compared):
-    driven(*SCENES[scene])
-    by_jax, *by_warp = (np.stack(each) for each in zip(*compared[1], strict=True))
+def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scene):
+    _, grounds = compared(scene)
+    by_jax, *by_warp = (np.stack(each) for each in zip(*grounds, strict=True))
     for found in by_warp:  # but for who stands on an edge, to the last bit
         assert (np.abs(found - by_jax) > ROUNDING).mean() < 1e-3
 
