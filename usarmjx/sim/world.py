@@ -3,7 +3,7 @@
 `batch` maps these over many worlds; nothing here knows which engine moves the robots.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import partial
 from typing import Any, TypeVar
@@ -247,9 +247,15 @@ def sense_self(
     )
 
 
-def caster(scene: Scene, world: World, physics: PhysicsState) -> RayCaster:
-    """Return a caster of rays at everything in a world, on JAX."""
-    bodies = [forward_kinematics(group.plan, robot_states(group, physics)) for group in scene.groups]
+def caster(scene: Scene, world: World, physics: PhysicsState, bodies: Sequence[BodyPoses]) -> RayCaster:
+    """Return a caster of rays at everything in a world, on JAX.
+
+    Args:
+        scene: The scene.
+        world: The world.
+        physics: State of the physics.
+        bodies: Bodies of each group's robots; leading axis over robots.
+    """
     geoms = ray_geoms(
         [
             *visible_arena(scene, world.arena_state, clock_of(scene, world)),
@@ -273,9 +279,9 @@ def sense(
         physics: State of the physics.
         cast: Casts rays; None: those of `caster`.
     """
-    cast = caster(scene, world, physics) if cast is None else cast
     around = surroundings(scene, world.arena_state, world.tags, clock_of(scene, world))
     inputs = [sense_self(scene, world, physics, group, around) for group in scene.groups]
+    cast = caster(scene, world, physics, [one.bodies for one in inputs]) if cast is None else cast
     return tuple(
         one.replace(
             hits=_hits(group, one, state.memory, cast),
