@@ -278,22 +278,19 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
     driven(*SCENES[scene])
     looked = [one for one in launches["_search_kernel"] if (one[1][10] != one[2][0]).any()]
     assert len(looked) > 1
-    for (most, places), args, found, dim in [*looked[:1], *looked[-2:], launches["_search_kernel"][-1]]:
-        code, kernel = (
-            warp_neighbor_search._code(most, places),
-            warp_neighbor_search.search_kernel(most, places),
-        )
-        arrays = run_as_on_a_gpu(code, kernel, args, dim, warp_neighbor_search.THREADS)
+    for which, args, found, dim in [*looked[:1], *looked[-2:], launches["_search_kernel"][-1]]:
+        code, kernel = warp_neighbor_search._code(*which), warp_neighbor_search.search_kernel(*which)
+        arrays = run_as_on_a_gpu(code, kernel, args, dim, which[-1])
         for mine, theirs in zip(arrays[-len(found) :], found, strict=True):
             np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
-    (most, _), args, found, dim = looked[0]
+    (most, _, threads), args, found, dim = looked[0]
     places = warp_neighbor_search.GLOBAL_CAPACITIES[0]
     code, kernel = (
-        warp_neighbor_search._code(most, places),
-        warp_neighbor_search.search_kernel(most, places),
+        warp_neighbor_search._code(most, places, threads),
+        warp_neighbor_search.search_kernel(most, places, threads),
     )
     scratch = np.zeros(WORLDS * warp_neighbor_search.scratch_numbers(places), np.float32)
-    arrays = run_as_on_a_gpu(code, kernel, [*args[:-1], scratch], dim, warp_neighbor_search.THREADS)
+    arrays = run_as_on_a_gpu(code, kernel, [*args[:-1], scratch], dim, threads)
     assert arrays[-1].any(), "solids are in global memory"
     for mine, theirs in zip(arrays[-len(found) : -1], found[:-1], strict=True):
         np.testing.assert_allclose(mine, theirs, atol=ROUNDING)

@@ -279,19 +279,20 @@ def ground_on_warp(
 
 
 def _launch_search(solids: SceneSolids, known: NeighborList, proposed: ProposedMotion) -> NeighborList:
-    from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, scratch_numbers, solid_capacity
+    from usarmjx.engines.planar.warp_neighbor_search import scratch_numbers, solid_capacity, threads_for
 
-    worlds, room = len(proposed.moves), solid_capacity(solids.count)
+    (worlds, robots), room = proposed.moves.shape, solid_capacity(solids.count)
+    threads = threads_for(robots)
     assert room is not None, "_fits_on_warp"
     scratch = jnp.zeros(max(worlds * scratch_numbers(room), 1))
     kept = known.at, known.room, known.omitted, known.packed_obstacles, known.packed_ground
     kept = *kept, known.scene.loose, known.scene.geoms
-    found = _search_kernel(solids.most, room)(
+    found = _search_kernel(solids.most, room, threads)(
         *(pack_motion(proposed), *_scene(solids, proposed), solids.floor),
         *(_flat(part) for part in kept),
         scratch,
         output_dims=1,
-        launch_dims=worlds * GROUND_THREADS,
+        launch_dims=worlds * threads,
     )
     at, margins, omitted, near, under, loose, geoms = (
         new.reshape(old.shape) if old.size else old for new, old in zip(found[:-1], kept, strict=True)
@@ -352,15 +353,15 @@ def _scene(solids: SceneSolids, proposed: ProposedMotion) -> tuple[Array, ...]:
 
 
 @warp_function
-def _search_kernel(most: int, room: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+def _search_kernel(most: int, room: int, threads: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return the kernel that builds neighbor lists."""
     import warp as wp
 
-    from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, IN_OUT_ARRAYS, search_kernel
+    from usarmjx.engines.planar.warp_neighbor_search import IN_OUT_ARRAYS, search_kernel
 
-    kernel = search_kernel(most, room)
+    kernel = search_kernel(most, room, threads)
     return wp.jax_kernel(
-        kernel, num_outputs=len(IN_OUT_ARRAYS), in_out_argnames=IN_OUT_ARRAYS, block_dim=GROUND_THREADS
+        kernel, num_outputs=len(IN_OUT_ARRAYS), in_out_argnames=IN_OUT_ARRAYS, block_dim=threads
     )
 
 

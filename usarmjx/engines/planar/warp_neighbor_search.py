@@ -6,6 +6,7 @@ in tests, the first thread handles the whole world. The steps are those of `neig
 and `solids`, except that robots with valid lists keep them.
 """
 
+import os
 from functools import cache
 from typing import Any
 
@@ -20,7 +21,7 @@ wp.set_module_options({"enable_backward": False, "fast_math": False})
 GROUND_THREADS = 128
 """Threads of a block of the ground kernel."""
 THREADS = 128
-"""Threads of a block, which handles one world."""
+"""Most threads of a block, which handles one world: a warp for each robot."""
 IN_OUT_ARRAYS = ("at", "room", "omitted", "near", "under", "known_loose", "known_geoms", "scratch")
 """Outputs that the search kernel changes in place."""
 SHARED_CAPACITIES = (64, 128, 256, 416, 600)
@@ -381,8 +382,15 @@ WORLD_CODE = """
 """
 
 
-def _code(most: int, room: int) -> str:
-    """Return the native code for lists of `most` solids, with room for `room` solids in all."""
+def threads_for(robots: int) -> int:
+    """Return the threads of a block for a world of so many robots: no warp without a robot."""
+    if "look" in os.environ.get("USARMJX_OLD_RAYS", ""):
+        return THREADS
+    return min(32 * robots, THREADS)
+
+
+def _code(most: int, room: int, threads: int = THREADS) -> str:
+    """Return the native code for lists of `most` solids, with room for `room` solids, of a block."""
     measures = (
         "SEPARATION_SLACK",
         "HEIGHT_SLACK",
@@ -391,7 +399,7 @@ def _code(most: int, room: int) -> str:
         "OTHER_HEIGHT_RANK",
     )
     words: dict[str, object] = {name: f"{getattr(neighbor_lists, name)}f" for name in measures}
-    words |= {"MOST": most, "ROOM": room, "THREADS": f"{THREADS}u"}
+    words |= {"MOST": most, "ROOM": room, "THREADS": f"{threads}u"}
     scratch = scratch_numbers(room)
     words |= {"IN_GLOBAL_MEMORY": int(scratch > 0), "SCRATCH_NUMBERS": scratch}
     return scene_code(WORLD_CODE, SEARCH_CODE, words)
@@ -409,10 +417,10 @@ def scratch_numbers(capacity: int) -> int:
 
 
 @cache
-def search_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
-    """Return the search kernel for lists of `most` solids and a capacity of `places` solids."""
+def search_kernel(most: int, places: int, threads: int = THREADS) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the search kernel for lists of `most` solids, a capacity of `places` and blocks of `threads`."""
 
-    @wp.func_native(_code(most, places))
+    @wp.func_native(_code(most, places, threads))
     def look_in_world(
         robots: wp.array[float],
         sizes: wp.array[int],
@@ -464,6 +472,6 @@ def search_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kerne
         # fmt: on
 
     # XLA finds the kernel by this name, so it must be unique and independent of the order of creation.
-    look_around_robots.__qualname__ = f"look_around_robots_{most}_{places}"
+    look_around_robots.__qualname__ = f"look_around_robots_{most}_{places}_{threads}"
     kernel: Any = wp.kernel
     return kernel(look_around_robots, enable_backward=False, grid_stride=False, module="unique")
