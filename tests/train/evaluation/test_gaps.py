@@ -71,13 +71,13 @@ def test_a_wall_that_is_run_into_counts_on_c_as_on_planar():
 
 def test_what_needs_a_solver_is_refused_by_name():
     with pytest.raises(
-        UnsupportedFeatureError, match="'planar' cannot run soccer, which needs a ball that is pushed"
+        UnsupportedFeatureError, match="'planar' cannot run stairs, which needs flippers that lift"
     ):
-        make("soccer", engine="planar")
+        make("stairs", engine="planar")
     heard = []
-    rows = list(task_gap(("planar",), sources_of(["soccer"]), 1, (0,), 1, tell=heard.append))
-    assert rows[-1] == "| soccer, baseline | refused |"
-    assert "a ball that is pushed" in heard[0]
+    rows = list(task_gap(("planar",), sources_of(["stairs"]), 1, (0,), 1, tell=heard.append))
+    assert rows[-1] == "| stairs, baseline | refused |"
+    assert "flippers that lift" in heard[0]
 
 
 def episodes(*scores, seed=0):

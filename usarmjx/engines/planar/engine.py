@@ -9,12 +9,14 @@ from typing import Any, ClassVar, cast
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from flax import struct
 
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.warp_functions import warp_function, warp_in_use
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
+from usarmjx.engines.planar.ball import Ball, BallMotion, ball_of, find_ball, without_body
 from usarmjx.engines.planar.bodies import (
     Motion,
     PlanarRobots,
@@ -178,9 +180,17 @@ class PlanarEngine(Engine[PlanarState]):
         self._servos: PlanarServos = servos_of(self.model, robots)
         own = {body for _, index in robots for body in index.body_ids}
         geoms, fixed = solid_geoms(self.model, own, self.moved_ids), fixed_bodies(self.model, own)
+        ball = find_ball(self.model, fixed, geoms)
+        if ball is not None:
+            geoms, stays = geoms.where(geoms.ids != ball.geom), without_body(fixed, ball.body)
+        else:
+            stays = fixed
         self._solids: SceneSolids = scene_solids(
-            self.model, geoms, fixed, neighbor_capacity(self._robots.half)
+            self.model, geoms, stays, neighbor_capacity(self._robots.half)
         )
+        still = geoms.ids[~np.isin(geoms.ids, self._solids.movable.ids)]
+        order = np.concatenate([still, self._solids.movable.ids])
+        self._ball: Ball | None = ball and ball_of(self.model, ball, order, self._robots.chassis)
 
     def start(self) -> PlanarState:
         """Return every world in the model's reference configuration."""
@@ -217,6 +227,9 @@ class PlanarEngine(Engine[PlanarState]):
         state, before, after, proposed = jax.vmap(self._aim)(turned, inputs, moves)
         neighbors = update_neighbors(self._solids, pinned.neighbors, proposed)
         kept, touched = separate_robots(proposed, neighbors)
+        if self._ball is not None:
+            rolled, kept, stopped = jax.vmap(self._push_ball)(state, proposed, kept)
+            state, touched = jax.vmap(self._write_ball)(state, rolled), touched | stopped
         stopped_at = jax.vmap(self._stop)(before, after, kept, touched)
         ground = ground_below_robots(self._solids, neighbors, kept, proposed)
         moved = jax.vmap(self._finish)(state, before, stopped_at, ground, inputs)
@@ -258,6 +271,18 @@ class PlanarEngine(Engine[PlanarState]):
             after,
             ProposedMotion(left, there, moves, stacked, limit, scene, state.qpos, poses),
         )
+
+    def _push_ball(
+        self, state: PhysicsState, proposed: ProposedMotion, kept: Footprints
+    ) -> tuple[BallMotion, Footprints, Array]:
+        """Return the ball of one world after the step, the robots, and which of them it stops (robots,)."""
+        assert self._ball is not None  # as the caller says
+        solids = self._solids.of_world(state.qpos, proposed.poses)
+        return self._ball.push(state, solids, proposed.left, kept, self.physics.period)
+
+    def _write_ball(self, state: PhysicsState, rolled: BallMotion) -> PhysicsState:
+        assert self._ball is not None  # as the caller says
+        return self._ball.write(state, rolled, self.physics.period)
 
     def _stop(self, before: Motion, after: Motion, kept: Footprints, touched: Array) -> Motion:
         return apply_contacts(self._robots, before, after, kept, touched, self.physics.period)

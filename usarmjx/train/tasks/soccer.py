@@ -268,7 +268,6 @@ class Soccer(Task):
     """
 
     about: ClassVar[str] = "Two robots play soccer against two others."
-    needs_solver: ClassVar[str] = "a ball that is pushed"
     reports_itself: ClassVar[bool] = True
 
     arena: Arenas = SOCCER_FIELD
