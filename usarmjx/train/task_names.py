@@ -12,6 +12,7 @@ def is_own(name: str) -> bool:
 RECORDED = {
     "explore": "explore-v1",
     "relay-chain": "relay-chain-v1",
+    "soccer": "soccer-v1",
     "victim-search": "victim-search-v1",
 }
 """Meanings of bare names in files: earlier releases wrote them for version 1, this one writes full names."""

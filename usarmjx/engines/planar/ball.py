@@ -7,6 +7,7 @@ does. It stays at its height: it climbs nothing, and meets only what is beside i
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -134,14 +135,16 @@ class Ball:
 
     def collide(self, now: BallMotion, others: Obstacles) -> BallMotion:
         """Return the motion after contacts with the deepest obstacles, one after the other."""
-        for _ in range(ITERATIONS):
+
+        def separate(_: int, now: BallMotion) -> BallMotion:
             depth, out_x, out_y = self.overlaps(now, others)
             worst = jnp.argmax(depth)
             deep, x, y = (part[worst] for part in (depth, out_x, out_y))
             hit = self._bounced(now, others, worst, (x, y))
             pushed = hit._replace(x=now.x + deep * x, y=now.y + deep * y)
-            now = BallMotion(*(_chosen(deep > 0, new, old) for new, old in zip(pushed, now, strict=True)))
-        return now
+            return jax.tree.map(lambda new, old: jnp.where(deep > 0, new, old), pushed, now)
+
+        return jax.lax.fori_loop(0, ITERATIONS, separate, now)
 
     def _bounced(
         self, now: BallMotion, others: Obstacles, which: Array, normal: tuple[Array, Array]
@@ -221,12 +224,6 @@ class Ball:
         )
         others = self.obstacles(height, solids, before, kept, dt)
         return self.collide(rolled, others), kept, stopped
-
-
-def _chosen(use: Array, new: Array | Components, old: Array | Components) -> Array | Components:
-    if isinstance(new, tuple):
-        return tuple(jnp.where(use, a, b) for a, b in zip(new, old, strict=True))
-    return jnp.where(use, new, old)
 
 
 class FoundBall(NamedTuple):

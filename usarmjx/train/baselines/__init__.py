@@ -70,4 +70,5 @@ for planner, policy in PLANNERS.items():
 BASELINES.add("convoy", pursuit_policy)
 BASELINES.add("stairs", climb_policy)
 BASELINES.add("hover-inspect", inspection_policy)
-BASELINES.add("soccer", soccer_policy)
+for version in (1, 2):
+    BASELINES.add(f"soccer-v{version}", soccer_policy)

@@ -291,6 +291,14 @@ class Task(ABC):
         return tuple(len(drive_keys(scene.groups[group].robot)) for group in self.agent_groups(scene))
 
     @property
+    def rivals(self) -> tuple[int, ...]:
+        """Agents of the only group that play against the others, by index; by default there are none.
+
+        A league drives them by past policies of the others, see `Config.league`.
+        """
+        return ()
+
+    @property
     def discrete(self) -> bool:
         """Whether actions are choices, see `AgentGroup.discrete`; by default they are not."""
         return False

@@ -37,7 +37,7 @@ TASKS_TRIED = (
     "convoy",
     "hover-inspect",
     "victim-search-v1",
-    "soccer",
+    "soccer-v1",
     "stairs",
 )
 

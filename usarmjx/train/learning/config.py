@@ -68,7 +68,12 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
         "imitation_steps": 6_000_000,
         "total_steps": 40_000_000,
     },
-    "soccer": {**MAZE_SETTINGS, "total_steps": 20_000_000},
+    "soccer-v1": {**MAZE_SETTINGS, "total_steps": 20_000_000},
+    "soccer-v2": {
+        **MAZE_SETTINGS,
+        **{"gamma": 0.9975, "gae_lambda": 0.97, "league": 8},
+        **{"imitation_steps": 2_000_000, "total_steps": 20_000_000},
+    },
     "stairs": {**SMALL_SETTINGS, "imitation_steps": 160_000, "imitation_std": 0.03, "total_steps": 160_000},
     "hover-inspect": SMALL_SETTINGS,
     "wander": {**SMALL_SETTINGS, "imitation_steps": 400_000, "imitation_std": 0.2, "total_steps": 800_000},
@@ -107,6 +112,9 @@ for task in ("hover-inspect", "wander"):
     GPU_SETTINGS[task] |= {"total_steps": 10_000_000, "imitation_steps": 1_000_000, "learning_rate": 3e-4}
 
 
+GPU_SETTINGS["soccer-v2"] |= {"num_worlds": 4096, "total_steps": 200_000_000, "imitation_steps": 10_000_000}
+
+
 GPU_SETTINGS["stairs"] |= {"total_steps": 1_000_000, "imitation_steps": 1_000_000}
 
 
@@ -122,6 +130,7 @@ DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
         "convoy",
         "hover-inspect",
         "wander",
+        "soccer-v2",
     ),
     "planar",
 )
@@ -131,6 +140,7 @@ DEFAULT_PHYSICS: dict[str, str] = dict.fromkeys(
         *("explore-v1", "explore-v2", "victim-search-v1", "victim-search-v2"),
         *GOAL_TASKS,
         "relay-chain-v1",
+        "soccer-v2",
     ),
     "coarse",
 )
@@ -225,6 +235,9 @@ class Config:
             them from the start.
         arena_refresh_interval: Iterations after which other generated arenas replace those in training, if
             the task's can be replaced; 0: never.
+        league: Past selves that agents play against, in tasks with rivals; 0: only against itself.
+        league_interval: Iterations between two policies that join the past selves.
+        league_mix: Shares of games against the baseline, itself, the strongest past self, any past self.
         checkpoint_interval: Iterations between checkpoints; there is always one at the end.
         keep_checkpoints: Latest checkpoints that are kept; the best one is kept too.
         black_box: Most recordings of worlds that go bad, in the folder `faults` of the run: the last two
@@ -266,6 +279,9 @@ class Config:
     imitation_std: Annotated[float, Setting(gt=0, aliases=("imitate_std",))] = 0.3
     curriculum: Annotated[float, Setting(ge=0, le=1)] = 0.0
     arena_refresh_interval: Annotated[int, Setting(ge=0, aliases=("renew",))] = 4
+    league: Annotated[int, Setting(ge=0)] = 0
+    league_interval: Annotated[int, Setting(ge=1)] = 20
+    league_mix: Annotated[tuple[float, ...], Setting(ge=0, min_length=4)] = (0.2, 0.2, 0.3, 0.3)
     checkpoint_interval: Annotated[int, Setting(ge=1, aliases=("checkpoint_every",))] = 20
     keep_checkpoints: Annotated[int, Setting(ge=1, aliases=("keep",))] = 2
     black_box: Annotated[int, Setting(ge=0)] = 4
@@ -286,6 +302,10 @@ class Config:
             return f"network is {self.network}, which has no gru_size and no shared_policy"
         if self.teacher != "baseline" and not self.imitation_steps:
             return f"teacher is {self.teacher}, but imitation_steps is 0: nothing is imitated"
+        if self.league and (self.gru_size or self.network != "mlp"):
+            return f"league is {self.league}, which needs network=mlp and gru_size=0"
+        if len(self.league_mix) != 4 or sum(self.league_mix) <= 0:
+            return f"league_mix is {list(self.league_mix)}, expected four shares, not all of them 0"
         if self.gru_size and self.action_repeat > 1:
             return (
                 f"gru_size is {self.gru_size}, but a memory needs action_repeat 1, not {self.action_repeat}"

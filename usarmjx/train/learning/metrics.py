@@ -97,7 +97,7 @@ def summary(sums: dict[str, float], world_steps: int) -> dict[str, float | None]
             record[name] = mean(value)
         elif name.startswith("step/"):
             record[name] = value / world_steps
-        elif name.startswith("loss/"):
+        elif name.startswith(("loss/", "league/")):
             record[name] = value
     return {key: None if one is None or not math.isfinite(one) else one for key, one in record.items()}
 

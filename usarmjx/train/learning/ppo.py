@@ -25,6 +25,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import Memory
 from usarmjx.train.envs.task import Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.league import update_league
 from usarmjx.train.learning.networks import (
     ChoiceDistribution,
     apply_network,
@@ -39,6 +40,7 @@ from usarmjx.train.learning.train_state import (
     TrainState,
     critic_values,
     make_optimiser,
+    policy_params,
 )
 from usarmjx.train.learning.trajectory import RolloutEnds, Trajectory
 from usarmjx.train.policies.sources import load_policy
@@ -471,7 +473,14 @@ def update(
     stats["loss/explained"] = _explained_variance(steps, returns, valid_robots)
     stats["loss/rate"] = train_state.learning_rate
     totals = {name: jax.lax.psum(one.sum(), PROCESS_AXIS) for name, one in sums.items()}
-    return train_state.replace(iteration=train_state.iteration + 1), {**stats, **totals}
+    now = train_state.iteration + 1
+    if train_state.league is not None:
+        league, more = update_league(
+            train_state.league, totals, policy_params(train_state), now, config.league_interval
+        )
+        train_state = train_state.replace(league=league)
+        totals = {name: one for name, one in totals.items() if not name.startswith("league/")} | more
+    return train_state.replace(iteration=now), {**stats, **totals}
 
 
 def _explained_variance(

@@ -14,8 +14,9 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState, Memory
 from usarmjx.train.envs.task import Carry, Policy
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.league import Match, Rivals
 from usarmjx.train.learning.networks import fold_each, sample_actions
-from usarmjx.train.learning.ppo import reset_carry, teacher_obs
+from usarmjx.train.learning.ppo import reset_carry, teacher_obs, teacher_of
 from usarmjx.train.learning.train_state import (
     STAGGER_STREAM,
     Networks,
@@ -25,6 +26,7 @@ from usarmjx.train.learning.train_state import (
     unscaled_values,
 )
 from usarmjx.train.learning.trajectory import (
+    Background,
     Decision,
     GroupArrays,
     RolloutEnds,
@@ -57,6 +59,10 @@ HELD_FIELDS = (
     *("bad", "metrics"),
 )
 """Results of a step that a world keeps until the action ends, once its episode has ended."""
+
+
+RIVALS = 2**31 - 3
+"""Fold of a rollout's key for what rivals draw, apart from all steps' numbers."""
 
 
 def _where_open(open_: jax.Array, going: jax.Array, ended: jax.Array) -> jax.Array:
@@ -105,6 +111,7 @@ class Rollout:
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
         self.teacher, self.worlds = teacher, env.worlds
+        self.rivals = Rivals(env, networks.policy, config, teacher_of(env)) if config.league else None
         self.look: Callable[[EnvState], None] = _no_watcher
         """Receives the worlds: after every action, or where a whole rollout is compiled, after that."""
         # Networks bear TensorFloat-32, which physics and sensors do not.
@@ -151,6 +158,7 @@ class Rollout:
             teacher_carry=() if self.teacher is None else self.teacher.initial_carry(self.env.worlds),
             episode_return=jnp.zeros(self.env.worlds),
             is_first=jnp.ones(self.env.worlds, bool),
+            opponent=None if self.rivals is None else jnp.zeros(self.env.worlds, jnp.int32),
         )
 
     def _seeds(self) -> tuple[Any, jax.Array]:
@@ -179,28 +187,48 @@ class Rollout:
         carry: tuple[GroupArrays, GroupArrays, Carry],
         worlds: jax.Array,
         key: tuple[jax.Array, jax.Array | np.int32],
-        memory: Memory,
+        background: Background,
     ) -> tuple[GroupArrays, Decision]:
-        """Return actions, and the decision behind them.
-
-        `key` is the rollout's and the number of the step; `memory`, of the task, is for the teacher alone.
-        """
+        """Return actions, and the decision behind them; `key` is the rollout's and the number of the step."""
         policy = self.networks.policy
         logits, after = policy.distribution_params(policy_params(train_state), view.obs, carry[0])
         raw = sample_actions(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
         kinds = [policy.distribution(g) for g in range(len(raw))]
         value, critic = self._value(train_state, view.obs, view.privileged, carry[1])
-        seen = (view.obs, memory)
+        log_prob = tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True))
+        match, raw = self._against_rivals(train_state, view.obs, raw, background, (*key, worlds))
+        seen = (view.obs, background.memory)
         teacher, teacher_action = self._teacher_action(train_state, seen, carry[2], jax.random.fold_in(*key))
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), Decision(
             raw_action=raw,
-            log_prob=tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True)),
+            log_prob=log_prob,
             value=value,
             teacher_action=teacher_action,
             policy_carry=after,
             critic_carry=critic,
             teacher_carry=teacher,
+            match=match,
         )
+
+    def _against_rivals(
+        self,
+        train_state: TrainState,
+        obs: GroupArrays,
+        raw: GroupArrays,
+        background: Background,
+        key: tuple[Any, ...],
+    ) -> tuple[Match | None, GroupArrays]:
+        """Return the games of a league, and the actions with those of its players; none: there is no league.
+
+        `key` is the rollout's, the number of the step, and the numbers of the worlds.
+        """
+        league, rivals = train_state.league, self.rivals
+        if league is None or rivals is None or background.opponent is None:
+            return None, raw
+        rollout, step, worlds = key
+        drawing, acting = jax.random.split(jax.random.fold_in(jax.random.fold_in(rollout, RIVALS), step))
+        match = rivals.match(league, background.opponent, background.is_first, fold_each(drawing, worlds))
+        return match, (rivals.replace_actions(league, match, obs[0], raw[0], acting, worlds),)
 
     def _teacher_action(
         self, train_state: TrainState, seen: tuple[GroupArrays, Memory], carry: Carry, key: jax.Array
@@ -256,9 +284,17 @@ class Rollout:
             lambda: zeros,
         )
         reward = tuple(jnp.where(bad[:, None], 0.0, one) for one in after.reward)
-        robots = sum(one.shape[1] for one in reward)
-        episode_return = episode_return + sum(one.sum(1) for one in reward) / robots
+        own = reward if self.rivals is None else tuple(one[:, self.rivals.team] for one in reward)
+        robots = sum(one.shape[1] for one in own)
+        episode_return = episode_return + sum(one.sum(1) for one in own) / robots
         ended = done & ~bad
+        match, league = decision.match, train_state.league
+        alive, survived = before.alive or (), after.final_alive or ()
+        results: dict[str, jax.Array] = {}
+        if match is not None and league is not None and self.rivals is not None:
+            alive = survived = (match.learns,)
+            games = ended, before.length + 1, after.final_score
+            results = self.rivals.results(league, match.opponent, games, train_state.iteration)
         step = Trajectory(
             obs=before.obs,
             privileged=before.privileged,
@@ -272,15 +308,15 @@ class Rollout:
             truncated=truncated,
             bad=bad,
             teacher_action=decision.teacher_action,
-            alive=before.alive or (),
-            survived=after.final_alive or (),
+            alive=alive,
+            survived=survived,
         )
         episode_sums = {
             "return": jnp.where(ended, episode_return, 0.0),
             "length": jnp.where(ended, before.length + 1, 0),
             "timeouts": truncated,
         }
-        sums = _sum_worlds({**episode_sums, **_step_sums(after, ended, bad)})
+        sums = _sum_worlds({**episode_sums, **_step_sums(after, ended, bad), **results})
         carry = self._next_carry(decision, before, after, done)
         return step, carry, jnp.where(done, 0.0, episode_return), sums
 
@@ -326,8 +362,14 @@ class Rollout:
     ) -> tuple[RolloutState, tuple[Trajectory, dict[str, jax.Array]]]:
         before = step_view(state.env_state)
         carry = (state.policy_carry, state.critic_carry, state.teacher_carry)
-        memory = () if self.teacher is None else state.env_state.memory
-        actions, decision = self._decide(train_state, before, carry, state.world_index, (key, step), memory)
+        background = Background(
+            memory=() if self.teacher is None else state.env_state.memory,
+            opponent=state.opponent,
+            is_first=state.is_first,
+        )
+        actions, decision = self._decide(
+            train_state, before, carry, state.world_index, (key, step), background
+        )
         env = self._held(state.env_state, actions)
         row, (policy, critic, teacher), episode_return, sums = self._account(
             train_state, (state.episode_return, state.is_first), decision, before, step_view(env)
@@ -339,6 +381,7 @@ class Rollout:
             teacher_carry=teacher,
             episode_return=episode_return,
             is_first=row.done,
+            opponent=None if decision.match is None else decision.match.opponent,
         )
         return state, (row, sums)
 

@@ -22,7 +22,6 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.files import PARTIAL_MARK
 from usarmjx.base.program_cache import ProgramCache
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.state import Memory
 from usarmjx.train.envs.task import Carry, Policy
 from usarmjx.train.learning.checkpoint import SET, Checkpoints, read_part
 from usarmjx.train.learning.config import (
@@ -39,6 +38,7 @@ from usarmjx.train.learning.config import (
     seed_folder,
 )
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
+from usarmjx.train.learning.league import write_standings
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog
 from usarmjx.train.learning.processes import ProcessGroup
@@ -57,6 +57,7 @@ from usarmjx.train.learning.trainer import (
     run_iterations,
 )
 from usarmjx.train.learning.trajectory import (
+    Background,
     Decision,
     GroupArrays,
     RolloutEnds,
@@ -157,16 +158,16 @@ class SeedRollout(Rollout):
         carry: tuple[GroupArrays, GroupArrays, Carry],
         worlds: jax.Array,
         key: tuple[jax.Array, Any],
-        memory: Memory,
+        background: Background,
     ) -> tuple[GroupArrays, Decision]:
         base = super()._choose_actions
         keys, step = key
 
         def choose(train_state: TrainState, key: jax.Array, *seen: Any) -> tuple[GroupArrays, Decision]:  # noqa: ANN401
-            view, carry, worlds, memory = seen
-            return base(train_state, view, carry, worlds, (key, step), memory)
+            view, carry, worlds, background = seen
+            return base(train_state, view, carry, worlds, (key, step), background)
 
-        seen = self._split((view, carry, worlds, memory))
+        seen = self._split((view, carry, worlds, background))
         return join_worlds(self._mapped(choose, train_state)(train_state, keys, *seen))
 
     def _record_step(
@@ -383,6 +384,8 @@ class SeedCheckpoints:
         learners = jax.device_get(train_state)
         for number, (run, note) in enumerate(zip(self.runs, notes, strict=True)):
             run.write(iteration, {"learner": of_seed(learners, number)}, {**note, SET: len(self.runs)})
+            if learners.league is not None:
+                write_standings(run.run, iteration, of_seed(learners.league, number))
         shared = {"agent_steps": notes[0]["agent_steps"], "score": None, SET: len(self.runs)}
         self.shared.write(iteration, {"worlds": worlds}, shared)
         # Only now: each run must have the checkpoint that the shared ones end with.

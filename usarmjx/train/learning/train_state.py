@@ -14,6 +14,7 @@ from usarmjx.base.errors import UsageError, extra
 from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.league import League, start_league
 from usarmjx.train.learning.networks import (
     AnyNetwork,
     LearnedPolicy,
@@ -73,6 +74,7 @@ class TrainState(PyTreeNode, kw_only=True):
         return_statistics: Those of the returns, per group ().
         learning_rate: Learning rate ().
         iteration: Updates so far ().
+        league: Past selves; None: there is no league.
     """
 
     params: ActorCriticParams
@@ -82,6 +84,7 @@ class TrainState(PyTreeNode, kw_only=True):
     return_statistics: tuple[Statistics, ...]
     learning_rate: jax.Array
     iteration: jax.Array
+    league: League | None = None
 
 
 @dataclass(frozen=True)
@@ -177,7 +180,7 @@ def train_state_maker(
 
 def _initial(networks: Networks, config: Config, key: jax.Array) -> TrainState:
     params = networks.init(key)
-    return TrainState(
+    fresh = TrainState(
         params=params,
         opt_state=make_optimiser(config).init(params),
         obs_statistics=tuple(init_statistics(group.obs_size) for group in networks.groups),
@@ -186,6 +189,7 @@ def _initial(networks: Networks, config: Config, key: jax.Array) -> TrainState:
         learning_rate=jnp.float32(config.learning_rate),
         iteration=jnp.int32(0),
     )
+    return fresh.replace(league=start_league(policy_params(fresh), config.league)) if config.league else fresh
 
 
 def policy_params(train_state: TrainState) -> PolicyParams:

@@ -36,6 +36,7 @@ from usarmjx.train.learning.config import (
 )
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
 from usarmjx.train.learning.launch import check_parent
+from usarmjx.train.learning.league import write_standings
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
 from usarmjx.train.learning.processes import ProcessGroup, run_lock
@@ -491,6 +492,8 @@ def _outputs(
 
     def save(iteration: int, train_state: TrainState, worlds: RolloutState, notes: Records) -> None:
         checkpoints.save(iteration, train_state, worlds, notes[0])
+        if train_state.league is not None and logs:
+            write_standings(checkpoints.run, iteration, train_state.league)
 
     def show(lines: Records) -> None:
         if watch is not None:

@@ -10,6 +10,7 @@ from flax.struct import PyTreeNode
 
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
+from usarmjx.train.learning.league import Match
 from usarmjx.train.learning.networks import LearnedPolicy
 
 GroupArrays = tuple[jax.Array, ...]
@@ -104,6 +105,7 @@ class RolloutState(PyTreeNode, kw_only=True):
         teacher_carry: That of the teacher, if there is one (worlds, ...).
         episode_return: Rewards of the running episode, mean of the robots (worlds,).
         is_first: Whether an episode begins now (worlds,).
+        opponent: See `league.Match` (worlds,); None: there is no league.
     """
 
     env_state: EnvState
@@ -113,6 +115,7 @@ class RolloutState(PyTreeNode, kw_only=True):
     teacher_carry: Any
     episode_return: jax.Array
     is_first: jax.Array
+    opponent: jax.Array | None = None
 
 
 class StepView(PyTreeNode, kw_only=True):
@@ -165,6 +168,7 @@ class Decision(PyTreeNode, kw_only=True):
         policy_carry: Per group (worlds, robots, memory).
         critic_carry: Per group (worlds, robots, memory).
         teacher_carry: The teacher's (worlds, ...).
+        match: Games of a league; None: there is none.
     """
 
     raw_action: GroupArrays
@@ -174,6 +178,21 @@ class Decision(PyTreeNode, kw_only=True):
     policy_carry: GroupArrays
     critic_carry: GroupArrays
     teacher_carry: Any
+    match: Match | None = None
+
+
+class Background(PyTreeNode, kw_only=True):
+    """Further inputs of a decision, which the policy does not see.
+
+    Attributes:
+        memory: The task's memory, for a teacher (worlds, ...).
+        opponent: Opponents so far (worlds,); None: there is no league.
+        is_first: Whether an episode begins (worlds,).
+    """
+
+    memory: Any
+    opponent: jax.Array | None
+    is_first: jax.Array
 
 
 class RolloutInputs(struct.PyTreeNode, kw_only=True):

@@ -212,7 +212,7 @@ POSITION_SCALE = 3.0
 """Positions in a robot's axes are observed as shares of this [m]."""
 GOAL = np.array([GOAL_LINE, 0.0], np.float32)
 """The middle of the goal line at which blue shoots [m]."""
-OPPONENTS = ("self", "baseline", "still")
+OPPONENTS = ("self", "baseline", "random", "still")
 
 
 class SoccerMemory(struct.PyTreeNode, kw_only=True):
@@ -257,14 +257,19 @@ class Soccer(Task):
     Reward, the same for both robots of a team: of blue the gain of w in the step, and `bonus` for a goal of
     blue, -`bonus` for one of yellow; of yellow the negative of that. All rewards add up to 0.
 
+    With a `discount` the gain is `discount` times the new w, less the old one, and w is 0 once the episode
+    is over. Discounted by that, the gains of any episode add up to -w of its start: they guide learners that
+    discount so, and change nothing about which policy is best (Ng, Harada and Russell 1999).
+
     Score: 1 for a goal of blue, -1 for one of yellow, 0 for none. A goal is scored when the whole ball is in
     it; with that the episode ends. A mean of scores is goals less goals against per episode.
 
     Attributes:
-        opponent: Driver of yellow: `self`, the agents, with the policy of blue; `baseline`; `still`, none.
-            But for `self` only blue's robots are agents.
+        opponent: Driver of yellow: `self`, the agents, with the policy of blue; `baseline`; `random`, wheel
+            speeds drawn for each step; `still`, none. But for `self` only blue's robots are agents.
         bonus: Reward for a goal.
         approach: Reward per metre nearer to the ball.
+        discount: Discount of the gain; None: 1, and w counts at the end of an episode, too.
     """
 
     about: ClassVar[str] = "Two robots play soccer against two others."
@@ -276,9 +281,10 @@ class Soccer(Task):
     time_limit: TimeLimit = "end"
     radio: RadioSettings | None = field(default_factory=RadioSettings)
     mail: MessageSettings | None = MAIL_SETTINGS
-    opponent: Annotated[str, Setting(choices=("self", "baseline", "still"))] = "self"
+    opponent: Annotated[str, Setting(choices=OPPONENTS)] = "self"
     bonus: float = 5.0
     approach: float = 0.2
+    discount: Annotated[float | None, Setting(ge=0, le=1)] = None
 
     @cached_property
     def _robots(self) -> tuple[RobotSpec, ...]:
@@ -307,6 +313,11 @@ class Soccer(Task):
         """Both teams, or blue."""
         return (0,)
 
+    @property
+    def rivals(self) -> tuple[int, ...]:
+        """Yellow, if its robots are agents."""
+        return (2, 3) if self.opponent == "self" else ()
+
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """Left and right."""
         return (2,)
@@ -316,6 +327,8 @@ class Soccer(Task):
         commanded = {0: actions[0]}
         if self.opponent == "baseline":
             commanded[1] = jax.vmap(soccer_action)(self.observations(view, memory)[2:])
+        elif self.opponent == "random":
+            commanded[1] = jax.random.uniform(view.key, (2, 2), minval=-1.0, maxval=1.0)
         elif self.opponent == "still":
             commanded[1] = jnp.zeros((2, 2))
         drive: dict[int, dict[str, jax.Array]] = {}
@@ -409,11 +422,24 @@ class Soccer(Task):
         nearest = away[2:].min() - away[:2].min()
         return (to_goals[0] - to_goals[1]) / 2 + self.approach * nearest
 
+    def gain(self, before: jax.Array, after: jax.Array, over: jax.Array) -> jax.Array:
+        """Return what a step that changes the potential brings blue, see `Soccer` ().
+
+        Args:
+            before: Potential before it.
+            after: Potential after it.
+            over: Whether the episode is over with it.
+        """
+        if self.discount is None:
+            return after - before
+        return self.discount * jnp.where(over, 0.0, after) - before
+
     def evaluate(self, view: TaskView, memory: SoccerMemory) -> StepResult:
         """Goals, and the gain of the potential."""
         ball, _ = self.true_positions(view)
         goal, potential = goal_scored(ball), self.potential(view)
-        gain = potential - memory.potential + self.bonus * goal
+        over = (goal != 0) | (memory.step + 1 >= self.episode_steps)
+        gain = self.gain(memory.potential, potential, over) + self.bonus * goal
         score = memory.score + goal
         memory = SoccerMemory(
             belief=self.update_belief(view, memory.belief),
@@ -430,6 +456,7 @@ class Soccer(Task):
             metrics={
                 "ball": ball[0],
                 "goals": jnp.abs(goal),
+                "scored": jnp.maximum(goal, 0.0),
                 "known": (
                     view.time - memory.belief.ball_time < 2 * self.repeat * view.scene.physics.period
                 ).mean(),
