@@ -117,6 +117,10 @@ COMMANDS = {
         "usarmjx.cli.evaluation:teams",
         "Compare teams in the same buildings: parts of their scores, and times of their finds.",
     ),
+    "league": (
+        "usarmjx.cli.league:league",
+        "Show the ratings of a training's past selves, and play against them.",
+    ),
     "sweep": ("usarmjx.cli.sweep:app", "Play many configurations of tasks, and compare them."),
     "suite": ("usarmjx.cli.suite:app", "Play methods through a suite of tasks, and rank them."),
     "serve": (

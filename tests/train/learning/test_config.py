@@ -155,7 +155,7 @@ def runs_of(task, engine):
         ("relay-chain-v1", "warp", {}, {0}),
         ("convoy", "warp", {}, {1, 2}),
         ("stairs", "warp", {}, {0, 1, 2}),
-        ("soccer", "warp", {}, {0, 1, 2}),
+        ("soccer-v1", "warp", {}, {0, 1, 2}),
         ("victim-search-v2", "warp", {}, {0}),
     ],
 )

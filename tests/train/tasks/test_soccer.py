@@ -20,6 +20,8 @@ from usarmjx.sim.world import observe
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.evaluate import run_episodes
+from usarmjx.train.learning.config import task_config
+from usarmjx.train.tasks import TASKS
 from usarmjx.train.tasks.soccer import (
     MAIL_SETTINGS,
     NEVER,
@@ -197,6 +199,55 @@ def test_rewards_are_what_the_game_stands_better_and_add_up_to_nothing(view):
     assert float(result.reward[0].sum()) == pytest.approx(0.0, abs=1e-6)
 
 
+SHAPED = TASKS.get("soccer-v2")
+
+
+def test_the_gains_of_an_episode_add_up_to_what_it_began_with():
+    """Discounted, in closed form: -w of the start, whatever way it took."""
+    draw = np.random.default_rng(4)
+    for steps in (1, 7, 60):
+        worth = np.concatenate([[0.7], draw.normal(size=steps)]).astype(np.float32)
+        over = np.arange(1, steps + 1) == steps
+        gains = np.array([SHAPED.gain(*row) for row in zip(worth[:-1], worth[1:], over, strict=True)])
+        assert (gains * SHAPED.discount ** np.arange(steps)).sum() == pytest.approx(-0.7, abs=1e-5)
+
+
+def test_gains_change_nothing_about_which_play_is_best():
+    """A random game of 12 states, three moves, and 30 steps: the best moves by backward induction."""
+    draw, steps, discount = np.random.default_rng(5), 30, SHAPED.discount
+    worth, reward = draw.normal(size=12) * 3.0, draw.normal(size=(12, 3))
+    after = draw.integers(0, 12, (12, 3))
+    best, values = [], []
+    for shaped in (False, True):
+        value, moves = np.zeros(12), []
+        for step in reversed(range(steps)):
+            gain = SHAPED.gain(worth[:, None], worth[after], jnp.bool_(step == steps - 1))
+            choices = reward + shaped * np.asarray(gain) + discount * value[after]
+            value, moves = choices.max(1), [choices.argmax(1), *moves]
+        best.append(np.array(moves))
+        values.append(value)
+    np.testing.assert_array_equal(*best)
+    np.testing.assert_allclose(values[1] - values[0], -worth, atol=1e-4)
+    assert len(np.unique(best[0])) == 3
+
+
+@pytest.mark.parametrize(("ball", "step"), [((2.85, 0.0), 10), ((0.5, -0.3), SHAPED.episode_steps - 1)])
+def test_the_last_step_takes_back_what_is_left_of_the_gains(view, ball, step):
+    """A goal brings its bonus, and either end costs w of the state before."""
+    here = told(placed(with_ball(view, *ball), *POSES[0], *POSES[1]), **BLIND)
+    memory = SHAPED.start(here, jax.random.key(0)).replace(potential=jnp.float32(1.25), step=jnp.int32(step))
+    result = SHAPED.evaluate(here, memory)
+    goal = 1.0 if ball[0] > LENGTH / 2 else 0.0
+    np.testing.assert_allclose(result.reward[0], (goal * SHAPED.bonus - 1.25) * SIDES, atol=1e-5)
+    middle = SHAPED.evaluate(told(placed(with_ball(view, 0.5, -0.3), *POSES[0], *POSES[1]), **BLIND), memory)
+    assert (float(middle.reward[0][0]) != pytest.approx(-1.25)) == (step == 10)
+
+
+def test_learners_discount_by_what_the_gains_are_discounted_by():
+    for gpu in (False, True):
+        assert task_config("soccer", gpu=gpu).gamma == SHAPED.discount
+
+
 def test_yellow_sees_and_gets_what_blue_would_in_its_place(view):
     """Half a turn about the middle, and the teams change places."""
     draw = np.random.default_rng(0)
@@ -327,7 +378,9 @@ def test_only_a_ball_that_a_scanner_meets_is_seen(view):
 
 
 def test_settings_that_are_no_game():
-    with pytest.raises(UsageError, match="opponent is 'chess', expected one of self, baseline, still"):
+    with pytest.raises(
+        UsageError, match="opponent is 'chess', expected one of self, baseline, random, still"
+    ):
         Soccer(opponent="chess").robots  # noqa: B018 - it raises
     with pytest.raises(UsageError, match="expected one loose object"):
         Soccer(arena=replace(SOCCER_FIELD, loose=())).scene()
@@ -379,7 +432,7 @@ def test_it_goes_round_others():
 
 @pytest.fixture(scope="module")
 def env():
-    return usarmjx.make("soccer", worlds=4, engine="c", episode_steps=130)
+    return usarmjx.make("soccer-v1", worlds=4, engine="c", episode_steps=130)
 
 
 @pytest.mark.thorough
@@ -439,6 +492,8 @@ def test_yellow_plays_by_hand_or_stands_if_asked_to():
     told = [soccer_action(rows)[1] for rows in by_hand.observations(view, memory)[2:]]
     np.testing.assert_allclose(actions.drive[1]["Right"], np.array(told) / wheel, atol=1e-5)
     assert np.abs(told).max() > 0
+    drawn = Soccer(opponent="random").act(view, memory, (jnp.ones((2, 2)),)).drive[1]
+    assert len({*map(float, (*drawn["Left"], *drawn["Right"]))}) == 4
     still = Soccer(opponent="still").act(view, memory, (jnp.ones((2, 2)),))
     np.testing.assert_array_equal(still.drive[1]["Right"], 0.0)
 

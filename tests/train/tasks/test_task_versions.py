@@ -299,6 +299,6 @@ def test_a_value_stands_in_for_what_follows_only_where_something_does(time_limit
 def test_tasks_over_a_number_of_steps_say_so():
     ends = {name for name, task in TASKS if task.time_limit == "end"}
     versions = {name.replace("-v1", version) for name in LIBRARIES for version in ("-v1", "-v2")}
-    assert ends == {*versions, *GOAL_TASKS, "relay-chain-v1", "soccer"}
+    assert ends == {*versions, *GOAL_TASKS, "relay-chain-v1", "soccer-v1", "soccer-v2"}
     with pytest.raises(UsageError, match="time_limit is 'never', expected one of end, truncation"):
         Env(replace(TASKS.get("wander"), time_limit="never"), 1)

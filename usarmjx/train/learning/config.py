@@ -71,8 +71,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "soccer-v1": {**MAZE_SETTINGS, "total_steps": 20_000_000},
     "soccer-v2": {
         **MAZE_SETTINGS,
-        **{"gamma": 0.9975, "gae_lambda": 0.97, "league": 8},
-        **{"imitation_steps": 2_000_000, "total_steps": 20_000_000},
+        **{"league": 8, "imitation_steps": 2_000_000, "total_steps": 20_000_000},
     },
     "stairs": {**SMALL_SETTINGS, "imitation_steps": 160_000, "imitation_std": 0.03, "total_steps": 160_000},
     "hover-inspect": SMALL_SETTINGS,
