@@ -291,7 +291,7 @@ def test_what_there_is_is_listed_by_name_without_importing_anything_else():
         [sys.executable, "-c", f"import sys, json\n{code}"], capture_output=True, text=True, check=True
     )
     tasks = json.loads(done.stderr)
-    assert {"drive-to-goal", "explore-v1", "soccer"} <= set(tasks)
+    assert {"drive-to-goal", "explore-v1", "soccer-v1"} <= set(tasks)
     assert "P2AT" in usarmjx.ROBOTS
     assert "yellow" in usarmjx.ARENAS
     assert {"Sonar", "RangeScanner"} <= set(usarmjx.SENSORS.names())

@@ -86,6 +86,7 @@ WRONG = {
     ("sweep run", "engine"): ("sweep thousand --engine {}", ENGINE),
     ("sweep run", "robot"): ("sweep thousand --robot {}", ROBOT),
     ("sweep run", "what"): ("sweep {}", ("tousand", "'thousand'")),
+    ("league", "engine"): ("league runs/x --engine {}", ENGINE),
     ("teams", "engine"): ("teams explore-v1 --engine {}", ENGINE),
     ("teams", "names"): ("teams explore-v1 random {}", ("packagd", "'packaged'")),
     ("teams", "robot"): ("teams explore-v1 --robot {}", ROBOT),

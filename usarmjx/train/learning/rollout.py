@@ -284,17 +284,11 @@ class Rollout:
             lambda: zeros,
         )
         reward = tuple(jnp.where(bad[:, None], 0.0, one) for one in after.reward)
-        own = reward if self.rivals is None else tuple(one[:, self.rivals.team] for one in reward)
-        robots = sum(one.shape[1] for one in own)
-        episode_return = episode_return + sum(one.sum(1) for one in own) / robots
+        episode_return = episode_return + self._team_reward(reward)
         ended = done & ~bad
-        match, league = decision.match, train_state.league
         alive, survived = before.alive or (), after.final_alive or ()
-        results: dict[str, jax.Array] = {}
-        if match is not None and league is not None and self.rivals is not None:
-            alive = survived = (match.learns,)
-            games = ended, before.length + 1, after.final_score
-            results = self.rivals.results(league, match.opponent, games, train_state.iteration)
+        if decision.match is not None:
+            alive = survived = (decision.match.learns,)
         step = Trajectory(
             obs=before.obs,
             privileged=before.privileged,
@@ -316,9 +310,24 @@ class Rollout:
             "length": jnp.where(ended, before.length + 1, 0),
             "timeouts": truncated,
         }
+        results = self._results(train_state, decision, (ended, before.length + 1, after.final_score))
         sums = _sum_worlds({**episode_sums, **_step_sums(after, ended, bad), **results})
         carry = self._next_carry(decision, before, after, done)
         return step, carry, jnp.where(done, 0.0, episode_return), sums
+
+    def _team_reward(self, reward: GroupArrays) -> jax.Array:
+        """Return the mean reward of all robots but rivals in a league (worlds,)."""
+        own = reward if self.rivals is None else tuple(one[:, self.rivals.team] for one in reward)
+        return sum((one.sum(1) for one in own), jnp.float32(0.0)) / sum(one.shape[1] for one in own)
+
+    def _results(
+        self, train_state: TrainState, decision: Decision, ended: tuple[jax.Array, jax.Array, jax.Array]
+    ) -> dict[str, jax.Array]:
+        """Return the results of a league's games that ended, see `Rivals.results`; without one nothing."""
+        league, match, rivals = train_state.league, decision.match, self.rivals
+        if league is None or match is None or rivals is None:
+            return {}
+        return rivals.results(league, match.opponent, ended, train_state.iteration)
 
     def _any(self, where: jax.Array) -> jax.Array:
         """Return whether something is true in any world (worlds,) that is computed at once ()."""
