@@ -39,6 +39,8 @@ from usarmjx.train.task_names import RECORDED, full_name, recorded_name
 from usarmjx.train.tasks import TASKS
 
 BARE = sorted(RECORDED)
+OF_TEAMS = [bare for bare in BARE if bare != "soccer"]
+"""Those whose scores have parts, which `teams` and `radio_matters` take, and that have packaged policies."""
 
 
 class BuiltError(Exception):
@@ -92,13 +94,16 @@ def test_a_bare_name_is_the_newest_version_in_python(bare, builds):
     engine = training_engine(bare, "auto")
     assert training_fields(bare, engine) == training_fields(name, engine) == {"physics": "coarse"}
     assert (baseline(bare).name, baseline(bare).task) == (name, name)
+    by_teams = (
+        lambda: yardsticks.measure_teams(bare, 3, engine="c", teams=["baseline"]),
+        lambda: radio_matters.main([bare, "--worlds", "3", "--engine", "c"]),
+    )
     for build in (
         lambda: usarmjx.make(bare, engine="c"),
         lambda: gymnasium.make(f"usarmjx/{bare}", engine="c"),
         lambda: gymnasium.make_vec(f"usarmjx/{bare}", num_envs=2, engine="c"),
-        lambda: yardsticks.measure_teams(bare, 3, engine="c", teams=["baseline"]),
         lambda: baseline(bare).env(engine="c"),
-        lambda: radio_matters.main([bare, "--worlds", "3", "--engine", "c"]),
+        *(by_teams if bare in OF_TEAMS else ()),
     ):
         with pytest.raises(BuiltError, match=f"^{name}$"):
             build()
@@ -111,7 +116,7 @@ def test_a_bare_name_is_the_newest_version_on_the_command_line(bare, builds, tmp
     assert command_line_name("task", bare) == command_line_name("baseline", bare.upper()) == name
     for words in (
         f"train {bare} --engine c --quiet",
-        f"teams {bare} baseline --engine c",
+        *([f"teams {bare} baseline --engine c"] if bare in OF_TEAMS else []),
         f"eval --baseline {bare} --engine c --worlds 3 --episodes 3",
         f"play --baseline {bare}",
         f"play --agent random --task {bare}",
@@ -153,6 +158,8 @@ def test_sweeps_and_suites_take_bare_names_for_the_newest_versions(bare, tmp_pat
     )
     assert [one["task"] for one in both.cells] == [name]
     assert both.normalise == {"zero": {name: 1.0}, "one": "baseline"}
+    if bare not in OF_TEAMS:
+        return  # suites play splits of generated arenas
     file = tmp_path / "mine.yaml"
     digests = []
     for task in (bare, name, f"{bare}-v1"):
@@ -177,7 +184,7 @@ def test_the_bundled_suite_and_runs_of_its_planners_are_what_their_results_say()
 # Files of earlier releases
 
 
-@pytest.mark.parametrize("bare", BARE)
+@pytest.mark.parametrize("bare", OF_TEAMS)
 def test_a_policy_with_a_bare_name_is_of_version_1_and_a_new_file_says_so(bare, tmp_path):
     old = policy_file(tmp_path / "old.npz", task=bare)
     assert NumpyPolicy(old).task == load_policy(str(old)).task == f"{bare}-v1"

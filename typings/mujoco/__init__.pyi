@@ -95,6 +95,7 @@ class MjModel:
     geom_dataid: np.ndarray
     geom_fluid: np.ndarray
     geom_friction: np.ndarray
+    geom_priority: np.ndarray
     geom_matid: np.ndarray
     geom_pos: np.ndarray
     geom_quat: np.ndarray

@@ -92,8 +92,8 @@ def play_league(
     for row in standings(league):
         if row.player == "policy":
             continue
-        by_hand = row.place is None
-        other = BASELINES.get(env.name)(env) if by_hand else _past_self(networks, league, row.place)
+        place = row.place
+        other = BASELINES.get(env.name)(env) if place is None else _past_self(networks, league, place)
         scores = run_episodes(env, against(own, other, rivals), worlds, seed, tell=tell).scores
         won, lost = int((scores > 0).sum()), int((scores < 0).sum())
         found[row.player] = Games(len(scores), won, lost, float(np.mean(scores)))

@@ -298,7 +298,9 @@ def standings(league: League) -> list[Standing]:
     known: Any = jax.device_get(league)
     results = np.stack([known.games, known.won, known.lost], -1).astype(int).tolist()
     rows = [
-        Standing("policy", float(known.rating), *np.sum(results, 0).tolist()),
+        Standing(
+            "policy", float(known.rating), int(known.games.sum()), int(known.won.sum()), int(known.lost.sum())
+        ),
         Standing("baseline", FIRST_RATING, *results[-1]),
     ]
     for place in np.flatnonzero(known.since >= 0).tolist():
