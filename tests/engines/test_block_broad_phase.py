@@ -12,7 +12,10 @@ pytest.importorskip("warp", reason="needs warp-lang")
 
 from benchmarks.islands.rows import exact
 from benchmarks.islands.states import StateMaker
+from tests.engines.gpu_threads import COMPILER, run_struct_as_on_a_gpu
+from usarmjx.engines.block import broad_phase
 from usarmjx.engines.block.broad_phase import BroadPhase, make_table
+from usarmjx.engines.planar.warp_solids import expand_macros
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -75,6 +78,42 @@ def test_pairs_are_those_of_mujoco_warp_but_for_some_far_apart(arena: str, roste
     tests = len(table.groups) * len(found)
     assert sum(map(len, ours)) >= 0.5 * sum(map(len, theirs))
     assert tests < 0.7 * len(own) * len(found)
+
+
+@pytest.mark.parametrize("kernels", ["one launch", "two launches", "threads of a GPU"])
+def test_groups_whose_boxes_overlap_are_found_by_all_kernels(kernels: str, monkeypatch: pytest.MonkeyPatch):
+    """Pairs of geoms are the same by one launch, two, and with groups listed as on a GPU."""
+    model, found = states("yellow", ["P2AT", "Talon"], 2)
+    mjw = import_module("mujoco.mjx.third_party.mujoco_warp")
+    m, d = mjw.put_model(model), mjw.make_data(model, nworld=len(found), naconmax=ROOM, njmax=400)
+    d.qpos.assign(np.array([one.qpos for one in found], np.float32))
+    mjw.kinematics(m, d)
+    table = make_table(model, m.nxn_geom_pair_filtered.numpy(), (m.nxn_pairid_filtered.numpy() >= 0).any(1))
+    right = near_pairs(m, d, BroadPhase(table))
+    if kernels != "threads of a GPU":
+        monkeypatch.setattr(broad_phase, "TOGETHER", kernels == "one launch")
+        assert near_pairs(m, d, BroadPhase(table)) == right
+        return
+    if COMPILER is None:
+        pytest.skip("needs a C++ compiler")
+    shapes = {name: getattr(m, f"geom_{name}").numpy() for name in ("aabb", "rbound", "margin", "gap")}
+    poses = {"xpos": d.geom_xpos.numpy(), "xmat": d.geom_xmat.numpy()}
+    lists = {"geoms": table.geoms, "first": table.first_geom, "both": table.groups}
+    fields = {name: np.ascontiguousarray(value, np.int32) for name, value in lists.items()} | shapes | poses
+    listed = np.full((d.nworld, len(table.groups)), -1, np.int32)
+    fields |= {"boxes": np.zeros(1, np.float32), "listed": listed, "counts": np.zeros(d.nworld, np.int32)}
+    words = {"HELD_GROUPS": 512, "THREADS": 32, "FAR": "1e6f", "SLACK": "1e-4f"}
+    code = " ".join(f"const auto {name} = p.{name};" for name in fields) + expand_macros(
+        broad_phase.NEAR_CODE.replace("return found;", "if (lane == 0) counts.data[world] = found;"), words
+    )
+    run_struct_as_on_a_gpu(code, fields, d.nworld * 32, 32)
+    for world, count in enumerate(fields["counts"]):
+        near = fields["listed"][world, :count]
+        assert (fields["listed"][world, count:] == -1).all()
+        assert len(set(near.tolist())) == count < len(table.groups)
+        spans = [table.order[table.first_pair[k] : table.first_pair[k + 1]] for k in near]
+        listed_geoms = m.nxn_geom_pair_filtered.numpy()[np.concatenate(spans)].tolist()
+        assert right[world] <= {tuple(sorted(pair)) for pair in listed_geoms}
 
 
 def test_a_pair_with_settings_of_its_own_is_always_tested():

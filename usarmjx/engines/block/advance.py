@@ -117,12 +117,13 @@ CODE = trees.BEGIN_CODE + LOAD_CODE + trees.SOLVE_CODE + MOVE_CODE + trees.END_C
 
 def fits(model: mujoco.MjModel) -> bool:
     """Return whether the mass matrices of all trees fit registers, and damping is implicit."""
-    m, disabled = _any(model), _MUJOCO.mjtDisableBit
+    m, disabled = untyped(model), _MUJOCO.mjtDisableBit
     explicit = m.opt.disableflags & int(disabled.mjDSBL_EULERDAMP | disabled.mjDSBL_DAMPER)
     return not explicit and 0 < max(m.tree_dofnum, default=0) <= trees.MOST_SIZE
 
 
-def _any(model: mujoco.MjModel) -> Any:  # noqa: ANN401 - more of MuJoCo than its stubs have
+def untyped(model: mujoco.MjModel) -> Any:  # noqa: ANN401
+    """Return the model as one of any type: it has more than MuJoCo's stubs say."""
     return model
 
 
@@ -161,7 +162,7 @@ def advance_kernel(size: int) -> Any:  # noqa: ANN401 - Warp's kernels have no t
 
 def make_tables(model: mujoco.MjModel) -> dict[int, dict[str, np.ndarray]]:
     """Return the tables of trees by their degrees of freedom: fields of the kernel's struct."""
-    m = _any(model)
+    m = untyped(model)
     tree_of = m.dof_treeid[m.jnt_dofadr]
     joint = np.stack([m.jnt_type, m.jnt_qposadr, m.jnt_dofadr], axis=1)
     stateful = np.flatnonzero(m.actuator_actadr >= 0) if m.na else np.zeros(0, int)

@@ -1,7 +1,8 @@
 """Broad phase of solver `block`: bounding boxes of robots, objects and solids before those of their geoms.
 
 MuJoCo Warp tests every pair of geoms in every world. Here a group is a kinematic tree, or a solid that does
-not move; one launch finds the groups' boxes, another the pairs of geoms of groups whose boxes overlap.
+not move; a block of threads finds the groups' boxes of a world, and the pairs of geoms of groups whose boxes
+overlap.
 MuJoCo Warp's own test decides on each of these. Pairs that it alone would pass are too far apart to touch.
 Pairs of each kind that the convex collider handles are listed one after another, behind all others: so the
 threads of a warp have the same to do.
@@ -16,6 +17,8 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from usarmjx.engines.planar.warp_solids import expand_macros
+
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 DRIVER = "mujoco.mjx.third_party.mujoco_warp._src.collision_driver"
@@ -27,6 +30,12 @@ SLACK = wp.constant(1e-4)
 ANY = -1
 """Group of pairs that are always tested: those with margins of their own, and those with planes."""
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+TOGETHER = True
+"""Whether one launch does both, with boxes in shared memory; to be compared with one for each."""
+THREADS = 128
+"""Threads of a block, which handles a world."""
+HELD_GROUPS = 512
+"""Groups of a world that a GPU's shared memory has room for; more are in global memory."""
 CONVEX_APART = True
 """Whether pairs of the convex collider are behind all others; to be compared."""
 
@@ -130,38 +139,134 @@ def group_boxes(  # noqa: PLR0913 - a kernel's arguments are its buffers
     high_out[world, group] = high
 
 
+NEAR_CODE = """
+#if defined(__CUDA_ARCH__)
+    __shared__ float held[HELD_GROUPS * 6];
+    __shared__ int found;
+    const int lane = (int)threadIdx.x, lanes = THREADS, world = index / THREADS;
+    const auto wait = []() { __syncthreads(); };
+    const auto take = [](int* at) { return atomicAdd(at, 1); };
+#else
+    if (index % THREADS != 0) return 0;
+    int found;
+    const int lane = 0, lanes = 1, world = index / THREADS;
+    const auto wait = []() {};
+    const auto take = [](int* at) { return (*at)++; };
+#endif
+// Numbers of a world, of an array whose worlds may be alike.
+#define ROW(name) ((const float*)name.data + \\
+    (size_t)(world % name.shape[0]) * ((size_t)name.strides[0] / sizeof(float)))
+    const int groups = first.shape[0] - 1, pairs = both.shape[0];
+    float* box = (float*)boxes.data + (size_t)world * groups * 6;
+#if defined(__CUDA_ARCH__)
+    if (groups <= HELD_GROUPS) box = held;
+#endif
+    if (lane == 0) found = 0;
+    const float* const shapes = ROW(aabb);
+    const float* const radii = ROW(rbound);
+    for (int group = lane; group < groups; group += lanes) {
+        float low[3] = {FAR, FAR, FAR}, high[3] = {-FAR, -FAR, -FAR};
+        for (int k = first.data[group]; k < first.data[group + 1]; ++k) {
+            const int geom = geoms.data[k];
+            const float* const turn = ROW(xmat) + 9 * geom;
+            const float* const at = ROW(xpos) + 3 * geom;
+            const float* const middle = shapes + 6 * geom;
+            const bool bounded = radii[geom] > 0.0f;
+            const float reach = ROW(margin)[geom] + ROW(gap)[geom] + SLACK;
+            for (int i = 0; i < 3; ++i) {
+                float center = at[i], side = bounded ? reach : FAR;
+                if (bounded) {
+                    for (int j = 0; j < 3; ++j) {
+                        const float part = turn[3 * i + j];
+                        center += part * middle[j];
+                        side += (part < 0.0f ? -part : part) * middle[3 + j];
+                    }
+                }
+                low[i] = center - side < low[i] ? center - side : low[i];
+                high[i] = center + side > high[i] ? center + side : high[i];
+            }
+        }
+        for (int i = 0; i < 3; ++i) {
+            box[6 * group + i] = low[i];
+            box[6 * group + 3 + i] = high[i];
+        }
+    }
+    wait();
+    for (int which = lane; which < pairs; which += lanes) {
+        const int* const two = (const int*)both.data + 2 * which;
+        bool near = true;
+        if (two[0] >= 0) {
+            const float* const one = box + 6 * two[0];
+            const float* const other = box + 6 * two[1];
+            for (int i = 0; i < 3; ++i) near = near && one[i] <= other[3 + i] && other[i] <= one[3 + i];
+        }
+        if (near) listed.data[(size_t)world * pairs + take(&found)] = which;
+    }
+    wait();
+#undef ROW
+    return found;
+"""
+"""Native code of a block of threads: lists the pairs of groups of a world whose boxes overlap, and returns
+their number; on a CPU to the first thread alone."""
+
+
 @cache
-def pairs_kernel(
-    options: int, aabbs: int, rbounds: int, margins: int, gaps: int, own: int, own_gaps: int
-) -> Any:  # noqa: ANN401
-    """Return the kernel that lists pairs of geoms; arguments as of MuJoCo Warp's own test."""
-    driver = import_module(DRIVER)
-    near, add = (
-        driver._broadphase_filter(options, aabbs, rbounds, margins, gaps, own, own_gaps),
-        driver._add_geom_pair,
+def near_groups() -> tuple[Any, Any]:
+    """Return two functions: one of `NEAR_CODE`, and one of how many threads share a world."""
+    words = {"HELD_GROUPS": HELD_GROUPS, "THREADS": THREADS, "FAR": "1e6f", "SLACK": "1e-4f"}
+
+    @wp.func_native(expand_macros(NEAR_CODE, words))
+    def find(  # noqa: PLR0913 - a kernel's arguments are its buffers
+        aabb: wp.array3d[wp.vec3],
+        rbound: wp.array2d[float],
+        margin: wp.array2d[float],
+        gap: wp.array2d[float],
+        geoms: wp.array[int],
+        first: wp.array[int],
+        both: wp.array[wp.vec2i],
+        xpos: wp.array2d[wp.vec3],
+        xmat: wp.array2d[wp.mat33],
+        boxes: wp.array[float],
+        listed: wp.array[int],
+        index: int,
+    ) -> int: ...
+
+    @wp.func_native(
+        expand_macros(
+            "#if defined(__CUDA_ARCH__)\n    return THREADS;\n#else\n    return 1;\n#endif\n",
+            {"THREADS": THREADS},
+        )
     )
+    def sharing() -> int: ...
+
+    return find, sharing
+
+
+@cache
+def pairs_function(*settings: int) -> Any:  # noqa: ANN401
+    """Return the function that lists those pairs of geoms of a pair of groups that may touch.
+
+    Args:
+        settings: As of MuJoCo Warp's own test.
+    """
+    driver = import_module(DRIVER)
+    near, add = driver._broadphase_filter(*settings), driver._add_geom_pair
 
     # fmt: off
-    @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
-    def near_pairs(  # noqa: PLR0913 - as above
+    def list_pairs(  # noqa: PLR0913 - as above
+        world: int, which: int,
         geom_type: wp.array[int], aabb: wp.array3d[wp.vec3], rbound: wp.array2d[float],
         margin: wp.array2d[float], gap: wp.array2d[float],
         own_margin: wp.array2d[float], own_gap: wp.array2d[float],
         pairs: wp.array[wp.vec2i], ids: wp.array[wp.vec2i],
-        groups: wp.array[wp.vec2i], first: wp.array[int], order: wp.array[int],
-        convex: wp.array2d[int], low: wp.array2d[wp.vec3], high: wp.array2d[wp.vec3],
-        xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33], room: int, convex_room: int,
+        first: wp.array[int], order: wp.array[int],
+        convex: wp.array2d[int], xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33],
+        room: int, convex_room: int,
         count_out: wp.array[int], pair_out: wp.array[wp.vec2i], id_out: wp.array[wp.vec2i],
         world_out: wp.array[int], convex_count: wp.array[int], convex_pair: wp.array2d[wp.vec2i],
         convex_id: wp.array2d[wp.vec2i], convex_world: wp.array2d[int],
     ) -> None:
         # fmt: on
-        world, which = wp.tid()
-        one, other = groups[which][0], groups[which][1]
-        if one >= 0:
-            for i in range(3):
-                if low[world, one][i] > high[world, other][i] or low[world, other][i] > high[world, one][i]:
-                    return
         for k in range(first[which], first[which + 1]):
             a, b, own_id = pairs[order[k]][0], pairs[order[k]][1], ids[order[k]]
             if own_id[1] >= 0 or near(
@@ -181,6 +286,81 @@ def pairs_kernel(
                     convex_world[kind, place] = world
                 else:
                     add(room, a, b, kinds[0], kinds[1], world, own_id, count_out, pair_out, id_out, world_out)
+
+    return wp.func(list_pairs)
+
+
+@cache
+def worlds_kernel(*settings: int) -> Any:  # noqa: ANN401
+    """Return the kernel that lists pairs of geoms by a block of threads for each world."""
+    list_pairs, (find, sharing) = pairs_function(*settings), near_groups()
+
+    # fmt: off
+    @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
+    def near_pairs_of_worlds(  # noqa: PLR0913 - as above
+        geom_type: wp.array[int], aabb: wp.array3d[wp.vec3], rbound: wp.array2d[float],
+        margin: wp.array2d[float], gap: wp.array2d[float],
+        own_margin: wp.array2d[float], own_gap: wp.array2d[float],
+        pairs: wp.array[wp.vec2i], ids: wp.array[wp.vec2i], groups: wp.array[wp.vec2i],
+        first: wp.array[int], order: wp.array[int],
+        convex: wp.array2d[int], xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33],
+        room: int, convex_room: int,
+        geoms: wp.array[int], first_geom: wp.array[int], boxes: wp.array[float], listed: wp.array[int],
+        count_out: wp.array[int], pair_out: wp.array[wp.vec2i], id_out: wp.array[wp.vec2i],
+        world_out: wp.array[int], convex_count: wp.array[int], convex_pair: wp.array2d[wp.vec2i],
+        convex_id: wp.array2d[wp.vec2i], convex_world: wp.array2d[int],
+    ) -> None:
+        world, lane = wp.tid()
+        count = find(
+            aabb, rbound, margin, gap, geoms, first_geom, groups, xpos, xmat, boxes, listed,
+            world * THREADS + lane,
+        )
+        for k in range(lane, count, sharing()):
+            which = listed[world * groups.shape[0] + k]
+            list_pairs(
+                world, which, geom_type, aabb, rbound, margin, gap,
+                own_margin, own_gap, pairs, ids, first, order, convex, xpos, xmat, room, convex_room,
+                count_out, pair_out, id_out, world_out, convex_count, convex_pair, convex_id, convex_world,
+            )
+    # fmt: on
+
+    return near_pairs_of_worlds
+
+
+@cache
+def pairs_kernel(*settings: int) -> Any:  # noqa: ANN401
+    """Return the kernel that lists pairs of geoms by a thread for each pair of groups, given their boxes."""
+    list_pairs = pairs_function(*settings)
+
+    # fmt: off
+    @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
+    def near_pairs(  # noqa: PLR0913 - as above
+        geom_type: wp.array[int], aabb: wp.array3d[wp.vec3], rbound: wp.array2d[float],
+        margin: wp.array2d[float], gap: wp.array2d[float],
+        own_margin: wp.array2d[float], own_gap: wp.array2d[float],
+        pairs: wp.array[wp.vec2i], ids: wp.array[wp.vec2i], groups: wp.array[wp.vec2i],
+        first: wp.array[int], order: wp.array[int],
+        convex: wp.array2d[int], xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33],
+        room: int, convex_room: int,
+        low: wp.array2d[wp.vec3], high: wp.array2d[wp.vec3],
+        count_out: wp.array[int], pair_out: wp.array[wp.vec2i], id_out: wp.array[wp.vec2i],
+        world_out: wp.array[int], convex_count: wp.array[int], convex_pair: wp.array2d[wp.vec2i],
+        convex_id: wp.array2d[wp.vec2i], convex_world: wp.array2d[int],
+    ) -> None:
+        world, which = wp.tid()
+        one, other = groups[which][0], groups[which][1]
+        near = True
+        if one >= 0:
+            for i in range(3):
+                if low[world, one][i] > high[world, other][i] or low[world, other][i] > high[world, one][i]:
+                    near = False
+        if near:
+            list_pairs(
+                world, which, geom_type, aabb, rbound, margin, gap,
+                own_margin, own_gap, pairs, ids, first, order, convex, xpos, xmat, room, convex_room,
+                count_out, pair_out, id_out, world_out, convex_count, convex_pair, convex_id, convex_world,
+            )
+    # fmt: on
 
     return near_pairs
 
@@ -242,30 +422,25 @@ class BroadPhase:
     def __call__(self, m: Any, d: Any, context: Any, awake: Any = None) -> None:  # noqa: ANN401
         """List the pairs of geoms that may touch, in MuJoCo Warp's arrays."""
         assert awake is None, "no sleeping trees, see `coverage`"
-        low = wp.empty((d.nworld, self.groups), dtype=wp.vec3)
-        high = wp.empty((d.nworld, self.groups), dtype=wp.vec3)
         shapes = [m.geom_aabb, m.geom_rbound, m.geom_margin, m.geom_gap]
-        own = [m.pair_margin, m.pair_gap]
-        poses = [d.geom_xpos, d.geom_xmat]
-        wp.launch(
-            group_boxes,
-            dim=(d.nworld, self.groups),
-            inputs=[*shapes, self._geoms, self._first_geom, *poses],
-            outputs=[low, high],
-        )
-        kernel = pairs_kernel(m.opt.broadphase_filter, *(array.shape[0] for array in shapes + own))
+        own, poses = [m.pair_margin, m.pair_gap], [d.geom_xpos, d.geom_xmat]
+        settings = m.opt.broadphase_filter, *(array.shape[0] for array in shapes + own)
         lists = [m.nxn_geom_pair_filtered, m.nxn_pairid_filtered, self._pairs, self._first_pair, self._order]
         convex = self._convex_lists(d.naccdmax)
         found = [d.ncollision, context.collision_pair, context.collision_pairid, context.collision_worldid]
-        wp.launch(
-            kernel,
-            dim=(d.nworld, self.group_pairs),
-            inputs=[
-                *(m.geom_type, *shapes, *own, *lists, self._convex, low, high, *poses),
-                *(d.naconmax, d.naccdmax),
-            ],
-            outputs=[*found, *convex],
-        )
+        inputs = [m.geom_type, *shapes, *own, *lists, self._convex, *poses, d.naconmax, d.naccdmax]
+        if TOGETHER:
+            held = self.groups <= HELD_GROUPS and d.qpos.device.is_cuda
+            boxes = wp.empty(1 if held else 6 * d.nworld * self.groups, dtype=float)
+            listed = wp.empty(d.nworld * self.group_pairs, dtype=int)
+            more = [self._geoms, self._first_geom, boxes, listed]
+            dim, options, kernel = (d.nworld, THREADS), {"block_dim": THREADS}, worlds_kernel(*settings)
+        else:
+            more = [wp.empty((d.nworld, self.groups), dtype=wp.vec3) for _ in range(2)]
+            geoms = [*shapes, self._geoms, self._first_geom, *poses]
+            wp.launch(group_boxes, dim=(d.nworld, self.groups), inputs=geoms, outputs=more)
+            dim, options, kernel = (d.nworld, self.group_pairs), {}, pairs_kernel(*settings)
+        wp.launch(kernel, dim=dim, inputs=[*inputs, *more], outputs=[*found, *convex], **options)
         if not self.convex_kinds:
             return
         wp.launch(

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.engines.block import smooth_code
-from usarmjx.engines.block.advance import Advance, fits
+from usarmjx.engines.block.advance import Advance, fits, untyped
 from usarmjx.engines.block.branches import branches_of
 from usarmjx.engines.planar.warp_solids import expand_macros
 
@@ -86,7 +86,7 @@ MUJOCO_WARP = "mujoco.mjx.third_party.mujoco_warp._src"
 
 def why_not(model: mujoco.MjModel) -> str | None:
     """Return what a model has that the kernel does not cover, or None."""
-    m: Any = model
+    m = untyped(model)
     option, disabled = m.opt, _MUJOCO.mjtDisableBit
     joints = np.isin(m.actuator_trnid[:, 0], np.flatnonzero(m.jnt_type >= int(_JOINT.mjJNT_SLIDE)))
     loose = m.jnt_type < int(_JOINT.mjJNT_SLIDE)
@@ -157,7 +157,7 @@ def make_tables(model: mujoco.MjModel, bodies: int) -> Tables:
         model: The model.
         bodies: Bodies of a chunk, unless a subtree has more.
     """
-    m: Any = model
+    m = untyped(model)
     tops = np.append(np.flatnonzero(m.body_parentid[1:] == 0) + 1, m.nbody)
     firsts = [1]
     for begin, end in pairwise(tops):
