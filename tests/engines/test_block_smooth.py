@@ -61,7 +61,7 @@ def model_of(case: str) -> mujoco.MjModel:
     return build_scene("yellow", case.split(), Physics(solver="block")).model
 
 
-def states_of(case: str, model: mujoco.MjModel) -> dict[str, np.ndarray]:
+def states_of(case: str, model: Any) -> dict[str, np.ndarray]:
     """Return random states of four worlds and what acts on them, by field."""
     rng, worlds = np.random.default_rng(3), 4
     if case == "joints":
@@ -164,10 +164,10 @@ def test_forces_and_mass_matrix_are_those_of_c_mujoco(case: tuple[str, mujoco.Mj
         data: Any = mujoco.MjData(model)
         for field, value in states.items():
             getattr(data, field)[:] = value[world]
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_fwdVelocity(model, data)
-        mujoco.mj_fwdActuation(model, data)
-        mujoco.mj_fwdAcceleration(model, data)
+        _MUJOCO.mj_fwdPosition(model, data)
+        _MUJOCO.mj_fwdVelocity(model, data)
+        _MUJOCO.mj_fwdActuation(model, data)
+        _MUJOCO.mj_fwdAcceleration(model, data)
         for field in ("M", "qfrc_smooth", "qfrc_actuator", "qfrc_passive", "cvel", "geom_xpos", "act_dot"):
             right, found = getattr(data, field), getattr(d, field).numpy()[world]
             most = ERROR * max(1.0, np.abs(right).max(initial=0.0))

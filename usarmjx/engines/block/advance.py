@@ -171,13 +171,13 @@ def make_tables(model: mujoco.MjModel) -> dict[int, dict[str, np.ndarray]]:
     acting = [m.actuator_actadr, m.actuator_dyntype, m.actuator_actlimited]
     actuator = np.stack([stateful, *(one[stateful] for one in acting)], axis=1)
     place = np.full((m.nv, m.nv), -1)
-    rows = np.repeat(np.arange(m.nv), m.M_rownnz)
+    rows = np.repeat(np.arange(int(m.nv)), m.M_rownnz)
     place[rows, m.M_colind] = np.arange(m.nC)
-    tables = {}
+    tables: dict[int, dict[str, np.ndarray]] = {}
     for size in np.unique(m.tree_dofnum):
         own = np.flatnonzero(m.tree_dofnum == size)
         starts = m.tree_dofadr[own]
-        dofs = starts[:, None] + np.arange(size)
+        dofs = starts[:, None] + np.arange(int(size))
         edges = np.stack([own, own + 1], axis=1)
         tables[int(size)] = {
             "starts": starts,

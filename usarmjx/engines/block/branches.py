@@ -64,7 +64,12 @@ def branches_of(device: Any) -> Branches:  # noqa: ANN401 - Warp's
 
 def narrow_phase(m: Any, d: Any, context: Any) -> None:  # noqa: ANN401 - MuJoCo Warp's
     """Find contacts as MuJoCo Warp's function does, kinds of pairs of the convex collider beside others."""
-    driver, branches, held, kinds = import_module(DRIVER), branches_of(d.qpos.device), list[Any](), []
+    driver, branches, held, kinds = (
+        import_module(DRIVER),
+        branches_of(d.qpos.device),
+        list[Any](),
+        list[Any](),
+    )
 
     def hold(make: Any) -> Any:  # noqa: ANN401
         def make_and_hold(*args: object, **kwargs: object) -> Any:  # noqa: ANN401

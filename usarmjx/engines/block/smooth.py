@@ -163,12 +163,12 @@ def make_tables(model: mujoco.MjModel, bodies: int) -> Tables:
     for begin, end in pairwise(tops):
         if end - firsts[-1] > bodies and begin > firsts[-1]:
             firsts.append(int(begin))
-    edges = np.array([*firsts, m.nbody])
-    depth, chunk_of = np.zeros(m.nbody, int), np.searchsorted(edges, np.arange(m.nbody), side="right") - 1
+    edges, depth, bodies_in_order = np.array([*firsts, m.nbody]), _zeros(m.nbody), _places(m.nbody)
+    chunk_of = np.searchsorted(edges, bodies_in_order, side="right") - 1
     for body in range(1, m.nbody):
         depth[body] = depth[m.body_parentid[body]] + 1
     order = np.lexsort([depth[1:], chunk_of[1:]]) + 1
-    key = chunk_of[order] * m.nbody + depth[order]
+    key: np.ndarray = chunk_of[order] * m.nbody + depth[order]
     level = np.append(np.flatnonzero(np.diff(key, prepend=-1)), len(order))
     single = m.jnt_type[m.dof_jntid] >= int(_JOINT.mjJNT_SLIDE)
     coordinate = np.where(single, m.jnt_qposadr[m.dof_jntid], -1)
@@ -179,7 +179,7 @@ def make_tables(model: mujoco.MjModel, bodies: int) -> Tables:
 
     ranges = [range_of(m.jnt_bodyid), range_of(m.dof_bodyid), range_of(m.geom_bodyid)]
     row_ends = np.append(m.M_rowadr, m.nC)
-    levels = np.searchsorted(chunk_of[order[level[:-1]]], np.arange(len(edges)))
+    levels = np.searchsorted(chunk_of[order[level[:-1]]], _places(len(edges)))
     ranges = [edges, *ranges, row_ends[ranges[1]], acting, levels, range_of(tops[:-1])]
     static = (m.body_weldid == 0) & (m.body_mocapid[m.body_rootid] == -1)
     return Tables(
@@ -194,7 +194,7 @@ def make_tables(model: mujoco.MjModel, bodies: int) -> Tables:
         joint=np.stack([m.jnt_type, m.jnt_bodyid, m.jnt_qposadr, m.jnt_dofadr], axis=1),
         dof=np.stack([m.dof_bodyid, coordinate, m.dof_jntid, pushed[:-1], pushed[1:]], axis=1),
         geom=np.stack([m.geom_bodyid, ~static[m.geom_bodyid]], axis=1),
-        mass=np.stack([np.repeat(np.arange(m.nv), m.M_rownnz), m.M_colind], axis=1),
+        mass=np.stack([np.repeat(_places(m.nv), m.M_rownnz), m.M_colind], axis=1),
         actuator=actuator,
         pushing=pushing,
         limited=m.jnt_actfrclimited,
@@ -202,6 +202,14 @@ def make_tables(model: mujoco.MjModel, bodies: int) -> Tables:
         level=level,
         subtree=np.stack([tops[:-1], tops[1:]], axis=1),
     )
+
+
+def _places(count: int) -> np.ndarray:
+    return np.arange(count)
+
+
+def _zeros(count: int) -> np.ndarray:
+    return np.zeros(count, int)
 
 
 def _actuator_tables(
@@ -212,7 +220,7 @@ def _actuator_tables(
     joint = m.actuator_trnid[:, 0]
     chunk = chunk_of[m.jnt_bodyid[joint]] if m.nactuator else np.zeros(0, int)
     ids = np.argsort(chunk, kind="stable")
-    firsts = np.searchsorted(chunk[ids], np.arange(chunk_of.max() + 2))
+    firsts = np.searchsorted(chunk[ids], _places(int(chunk_of.max()) + 2))
     dof, control = m.jnt_dofadr[joint[ids]], m.actuator_ctrladr[ids]
     clamped = not m.opt.disableflags & int(_MUJOCO.mjtDisableBit.mjDSBL_CLAMPCTRL)
     has_control = m.actuator_ctrlnum[ids] > 0
@@ -230,8 +238,8 @@ def _actuator_tables(
         axis=1,
     )
     by_dof = np.argsort(dof, kind="stable")
-    places = np.arange(len(ids)) - firsts[chunk[ids]]
-    starts = np.searchsorted(dof[by_dof], np.arange(m.nv + 1))
+    places = _places(len(ids)) - firsts[chunk[ids]]
+    starts = np.searchsorted(dof[by_dof], _places(m.nv + 1))
     return table, (starts, places[by_dof]), firsts
 
 
