@@ -108,7 +108,8 @@ def _shared_gaps(place: int, gap: float) -> float: ...
 
 
 if TYPE_CHECKING:
-    OwnGaps, OwnList = wp.vec4, wp.vec4i
+    OwnGaps = wp.vec4
+    OwnList = wp.vec4i
 else:
     OwnGaps = wp.types.vector(length=MOST_GEOMS, dtype=wp.float32)
     OwnList = wp.types.vector(length=MOST_GEOMS, dtype=wp.int32)
@@ -130,16 +131,11 @@ def _gap(at: wp.uint64, point: wp.vec3, exclude: float) -> float:
 
 
 @wp.func
-def _most_of_lanes(x: float) -> float:
-    """Return the largest of numbers that are not negative."""
-    return wp.cast(~least_key_of_lanes(~wp.cast(x, wp.uint32)), wp.float32)
-
-
-@wp.func
-def _limit(distance: float, counts: bool) -> float:
-    """Return the distance beyond which no hit matters: the nearest that counts, or the farthest of all."""
+def _limit(distance: float, counts: bool) -> wp.uint32:
+    """Return the bits of the distance beyond which no hit matters: the nearest that counts, or the last."""
     nearest = least_key_of_lanes(wp.cast(wp.where(counts, distance, wp.inf), wp.uint32))
-    return wp.min(wp.cast(nearest, wp.float32), _most_of_lanes(distance))
+    farthest = ~least_key_of_lanes(~wp.cast(distance, wp.uint32))
+    return wp.min(nearest, farthest)
 
 
 @wp.func
@@ -200,7 +196,7 @@ def _list_near_geoms(
     near.inner = spread + INNER_SHELL * reach
     near.middle = spread + MIDDLE_SHELL * reach
     width = lanes()
-    gaps = OwnGaps()
+    gaps = OwnGaps()  # pyright: ignore[reportCallIssue] - zeros
     begin = wp.int32(0)
     while begin < count:
         slot = begin + column
@@ -258,18 +254,18 @@ def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
     best.distance = reach
     best.geom = -1.0
     counts = bool(False)  # noqa: UP018 - Warp's variable, not a constant
-    limit = wp.float32(reach)
-    assured = wp.float32(wp.inf)
+    limit = wp.cast(reach, wp.uint32)
+    assured = wp.uint32(LAST_KEY)
     row = wp.int32(0)
     while row < near.end:
         low = wp.where(row >= near.middle_end, near.middle, wp.where(row >= near.inner_end, near.inner, 0.0))
-        if low - near.spread > limit:
+        if wp.cast(wp.max(low - near.spread, 0.0), wp.uint32) > limit:
             row = near.end
         else:
             at = geom_of(world, _listed(near, wp.min(row + column, near.end - 1)))
             mine = box_key(at, cone, exclude, column, near.end - row)
             key = least_key_of_lanes(mine)
-            while key < BEYOND and key <= (wp.cast(limit, wp.uint32) | SLOT_BITS):
+            while key < BEYOND and key <= (limit | SLOT_BITS):
                 at = geom_of(world, _listed(near, row + wp.int32(key & SLOT_BITS)))
                 p = row_of(at, 0)
                 r0 = row_of(at, 1)
@@ -291,7 +287,7 @@ def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
         # A hit that hides the first one without counting itself lets geoms matter that were too far before.
         if row >= near.end and limit > assured:
             row = wp.int32(0)
-            assured = wp.float32(wp.inf)
+            assured = wp.uint32(LAST_KEY)
     if not counts:
         best.distance = wp.inf
         best.geom = -1.0
