@@ -35,7 +35,12 @@ EVERYTHING = replace(
         *(Mount(kind="Sonar", name=f"F{i}", at=(0.2, 0.1 * i, 0.0)) for i in range(2)),
     ),
     cameras=(CAMERA, replace(CAMERA, name="Second")),
-    effecters=(*TAGGER.effecters[:2], Mount(kind="RollerTable", name="Roller", at=(0.0, 0.0, -0.2)), GRIPPER),
+    effecters=(
+        *TAGGER.effecters[:2],
+        Mount(kind="RollerTable", name="Roller", at=(0.0, 0.0, -0.2)),
+        GRIPPER,
+        Mount(kind="Vacuum", name="Cup", at=(0.3, 0.0, -0.1)),
+    ),
 )
 OF_EFFECTERS = {effecter.kind: effecter for effecter in effecters_of(EVERYTHING)}
 TYPES = (*OF_SENSORS, "Camera", *OF_EFFECTERS)

@@ -184,6 +184,16 @@ class ConveyorsSet:
 
 
 @dataclass(frozen=True, kw_only=True)
+class VacuumSet:
+    """Vacuum of the robot of a slot that is closed or opened, by its index among the effecters."""
+
+    step: int
+    slot: int
+    effecter: int
+    closes: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class WorldReset:
     """Restart of the world; the robots are at their spawn poses, or parked."""
 
@@ -234,6 +244,7 @@ Input = (
     | LooseRemoved
     | LoosePlaced
     | ConveyorsSet
+    | VacuumSet
     | WorldReset
     | OrdersGiven
     | Interrupted

@@ -30,6 +30,7 @@ from usarmjx.recording.inputs import (
     RobotRedescribed,
     RobotRemoved,
     StepState,
+    VacuumSet,
     WorldReset,
     WorldSetup,
 )
@@ -267,6 +268,10 @@ class WorldRecorder:
     def set_conveyors(self, name: str, share: float) -> None:
         """Record the speed set for conveyors."""
         self._put(ConveyorsSet(step=self.steps, name=name, share=share))
+
+    def set_vacuum(self, slot: int, effecter: int, *, closes: bool) -> None:
+        """Record the closing or opening of a vacuum."""
+        self._put(VacuumSet(step=self.steps, slot=slot, effecter=effecter, closes=closes))
 
     def reset(self) -> None:
         """Record the restart of the world."""

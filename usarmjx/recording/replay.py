@@ -25,6 +25,7 @@ from usarmjx.recording.inputs import (
     RobotRedescribed,
     RobotRemoved,
     StepState,
+    VacuumSet,
     WorldReset,
     WorldSetup,
     versions,
@@ -96,7 +97,7 @@ class _ReplayedSingle:
                 update_robot_spec(world, given.slot, given.robot)
             case RobotPlaced():
                 world.move_robot(given.slot, _position(given.pos), given.quat)
-            case LooseAdded() | LooseRemoved() | LoosePlaced() | ConveyorsSet():
+            case LooseAdded() | LooseRemoved() | LoosePlaced() | ConveyorsSet() | VacuumSet():
                 self._change_things(given)
             case WorldReset():
                 world.reset()
@@ -106,8 +107,12 @@ class _ReplayedSingle:
             case _:
                 pass  # inputs of batches
 
-    def _change_things(self, given: LooseAdded | LooseRemoved | LoosePlaced | ConveyorsSet) -> None:
+    def _change_things(
+        self, given: LooseAdded | LooseRemoved | LoosePlaced | ConveyorsSet | VacuumSet
+    ) -> None:
         match given:
+            case VacuumSet():
+                self._world.suck(given.slot, given.effecter, closes=given.closes)
             case ConveyorsSet():
                 self._world.set_conveyors(given.share, given.name)
             case LooseAdded():

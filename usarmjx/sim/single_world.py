@@ -50,6 +50,7 @@ from usarmjx.sim.radio import update_links
 from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.reset import new_group_state, restart_in_place, start_sensors
 from usarmjx.sim.scene import RobotGroup, RosterEntry, Scene, parking_position, prefix_of, robot_groups
+from usarmjx.sim.suction import Suction
 from usarmjx.sim.views import build_render_scene, geom_colors_of
 from usarmjx.sim.world import (
     FaultCounts,
@@ -165,6 +166,7 @@ class SingleWorld:
         self._geom_colors: tuple[Scene, GeomColors] | None = None
         self._moved_ahead: tuple[int, GeomPoses | None] = -LOOKAHEAD_STEPS, None
         self._regroup({}, {})
+        self._suction = Suction(self.engine, lambda: self._use_arena(self.scene.arena))
 
     @property
     def physics(self) -> PhysicsState:
@@ -252,11 +254,13 @@ class SingleWorld:
         found = free_pose(model, data, index, np.array(pos), quat, floor, 0.0)
         if found is None:
             raise PlaceError(f"no room for {self.roster[slot].name} at {{}}", pos)
-        self.engine.place(index, *found)
-        self._speeds.reset_robots([slot], data.qpos)
+        self._suction.open(self._suction.of_robots([slot]))
+        self.engine.place(self._indices[slot], *found)
+        self._speeds.reset_robots([slot], self.engine.data.qpos)
 
     def move_loose(self, number: int, pos: Vec3, quat: np.ndarray) -> None:
         """Put a loose object, by its number, at a pose, at rest: position [m], orientation (4,)."""
+        self._suction.open(self._suction.holding([f"{LOOSE_PREFIX}{self.scene.arena.loose[number].name}"]))
         loose, data = self.scene.loose_geoms, self.engine.data
         data.qpos[loose.root_qposadr[number]] = (*pos, *quat)
         data.qvel[loose.root_dof[number]] = 0.0
@@ -293,6 +297,7 @@ class SingleWorld:
         """Remove a loose object, by its number; the states of all others are kept to the bit."""
         arena = self.scene.arena
         name = arena.loose[number].name
+        self._suction.open(self._suction.holding([f"{LOOSE_PREFIX}{name}"]))
         after = replace(arena, loose=(*arena.loose[:number], *arena.loose[number + 1 :]))
         self.engine.edit(lambda spec: remove_loose(spec, name), lambda spec: None, after)
         self._use_arena(after)
@@ -322,6 +327,7 @@ class SingleWorld:
 
     def remove(self, slot: int) -> None:
         """Take a robot out of the world; the states of the others are kept to the bit."""
+        self._suction.open(self._suction.of_robots([slot]))
         roster, rows = self.roster, self._robot_states()
         self.engine.edit(lambda spec: remove_robot(spec, prefix_of(slot)), lambda spec: None)
         del roster[slot], rows[slot], self._homes[slot]
@@ -383,8 +389,11 @@ class SingleWorld:
         self.world = self.world.replace(step=step, faults=faults)
         if recovery:
             self._speeds.reset_robots(recovery.robots, self.engine.data.qpos)
+            lost_by = self._suction.of_robots(recovery.robots) + self._suction.holding(recovery.others)
+            self._suction.open(lost_by)
         for slot in recovery.robots:
             self.edit(slot, command=idle_command(self.roster[slot].spec))
+        self._suction.lose()
         return recovery
 
     @numpy_backend()
@@ -516,6 +525,20 @@ class SingleWorld:
         self.world, result = operate(self.scene, self.world, self.physics, order, self._ground)
         return _row(result, member)
 
+    @numpy_backend()
+    def suck(self, slot: int, effecter: int, *, closes: bool) -> None:
+        """Close a robot's vacuum, by its index among the effecters, or open it."""
+        group, _ = self.scene.group_of(slot)
+        if closes:
+            robot, vacuum = self.scene.groups[group].robot, self.scene.groups[group].effecters[effecter]
+            self._suction.close((slot, effecter), robot, self._indices[slot], vacuum, self._caster())
+        else:
+            self._suction.open([(slot, effecter)])
+
+    def sucks(self, slot: int, effecter: int) -> bool:
+        """Return whether a robot's vacuum is closed, whether or not it holds anything."""
+        return self._suction.is_closed((slot, effecter))
+
     @cached_property
     def _ground(self) -> CRayCaster:
         """Casts rays at what dropped things fall on: floor and arena, without what is loose, and doors."""
@@ -533,6 +556,7 @@ class SingleWorld:
 
         Robots get idle commands and full batteries. A robot whose start pose is taken is put next to it.
         """
+        self._suction.open(self._suction.of_robots(self.roster))
         self.engine.reset_all(self._indices, self._homes)
         self.set_conveyors(1.0)
         for thing, at in zip(self.scene.arena.loose, self.scene.loose_geoms.root_qposadr, strict=True):

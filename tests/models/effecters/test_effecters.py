@@ -80,8 +80,8 @@ def test_a_releaser_carries_ten_tags_unless_set_otherwise():
     assert only("Gripper").initial_stock == 0
 
 
-def test_the_four_types_are_registered():
-    assert EFFECTERS.names() == ["Gripper", "Headlight", "RFIDReleaser", "RollerTable"]
+def test_the_manuals_four_types_and_the_later_vacuum_are_registered():
+    assert EFFECTERS.names() == ["Gripper", "Headlight", "RFIDReleaser", "RollerTable", "Vacuum"]
 
 
 # Parts

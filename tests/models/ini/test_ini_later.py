@@ -5,6 +5,7 @@ import pytest
 
 from tests.models.ini.texts import load_texts
 from usarmjx.base.errors import SpecError
+from usarmjx.models.effecters import effecters_of
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.sensors.suite import suite_of
@@ -75,6 +76,14 @@ def test_a_file_of_the_later_versions_mounts_what_means_the_same(load):
     assert dict(scanner.all_options)["MaxRange"] == 4.0
     sonar = next(mount for mount in robot.sensors if mount.kind == "Sonar")
     assert dict(sonar.all_options)["MaxIncidence"] == 0.5
+
+
+def test_a_vacuum_is_an_effecter_with_the_suction_length_of_its_class(load):
+    """Vacuum.uc: 0.125 m."""
+    robot = of(load("[USARBot.P3AT]\n" + part("Vacuum", "Cup", package="USARActuator")))
+    mount = robot.effecters[-1]
+    assert (mount.kind, mount.name, mount.at) == ("Vacuum", "Cup", (0.2, 0.0, -0.2))
+    assert effecters_of(robot)[-1].settings.suction_length == 0.125
 
 
 def test_a_section_about_a_scanner_keeps_its_other_figures(load):

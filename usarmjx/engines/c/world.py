@@ -5,17 +5,19 @@ the state of everything that stays is kept to the bit.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import mujoco
 import numpy as np
 
-from usarmjx.base.backend import Array
+from usarmjx.base.backend import Array, numpy_backend
+from usarmjx.base.rotations import quat_from_mat
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.c.batch import MovedBody, buffer_warnings
 from usarmjx.engines.c.faults import RecoveryResult, reset_all, step_and_recover
 from usarmjx.engines.c.rays import CRayCaster
-from usarmjx.models.compile.compose import RobotIndex, materials_of, set_weld
+from usarmjx.models.compile.compose import RobotIndex, add_weld, materials_of, remove_weld, set_weld
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.types.arena import ArenaSpec
 
@@ -160,6 +162,22 @@ class CWorld:
         if weld is not None:  # the description, too: the next `edit` compiles it
             for data in (weld.data, self.model.eq_data[self.model.equality(name).id]):
                 set_weld(data, pos, quat)
+
+    def weld(self, name: str, one: str, other: str) -> None:
+        """Hold a body at its present pose in the axes of another one, by a weld of that name."""
+        data = self.data
+        mujoco.mj_kinematics(self.model, data)
+        base, thing = self.model.body(one).id, self.model.body(other).id
+        axes = data.xmat[base].reshape(3, 3).T
+        with numpy_backend():
+            quat = quat_from_mat(axes @ data.xmat[thing].reshape(3, 3))
+        pose = axes @ (data.xpos[thing] - data.xpos[base]), quat
+        add = partial(add_weld, name=name, one=one, other=other, pose=pose)
+        self.edit(add, partial(remove_weld, name=name))
+
+    def unweld(self, name: str) -> None:
+        """Remove the weld of that name."""
+        self.edit(partial(remove_weld, name=name), lambda spec: None)
 
     def caster(
         self, robots: Mapping[int, RobotIndex], poses: GeomPoses | None, path: GeomPoses | None = None

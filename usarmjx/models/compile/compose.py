@@ -140,10 +140,7 @@ def add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float, *, held: bo
         set_inertia(body, arena_inertia(loose.inertia), loose.shapes)
     if held:
         body.gravcomp = 1.0
-        weld = spec.add_equality(name=name, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
-        weld.name1, weld.name2 = WORLD, name
-        weld.solref, weld.solimp = HOLD_SOLREF, HOLD_SOLIMP
-        set_weld(weld.data, body.pos, body.quat)
+        add_weld(spec, name, WORLD, name, (body.pos, body.quat))
         for other in (WORLD, ARENA):
             spec.add_exclude(bodyname1=other, bodyname2=name)
 
@@ -158,6 +155,21 @@ def remove_loose(spec: mujoco.MjSpec, name: str) -> None:
         if weld.name == body:
             spec.delete(weld)
     spec.delete(spec.body(body))
+
+
+def add_weld(spec: mujoco.MjSpec, name: str, one: str, other: str, pose: tuple[Array | Vec3, Array]) -> None:
+    """Hold a body at a pose in the axes of another one: position [m], orientation (4,)."""
+    weld = spec.add_equality(name=name, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
+    weld.name1, weld.name2 = one, other
+    weld.solref, weld.solimp = HOLD_SOLREF, HOLD_SOLIMP
+    set_weld(weld.data, *pose)
+
+
+def remove_weld(spec: mujoco.MjSpec, name: str) -> None:
+    """Remove the weld of that name, if there is one."""
+    weld = spec.equality(name)
+    if weld is not None:
+        spec.delete(weld)
 
 
 def set_weld(data: np.ndarray, pos: Array | Vec3, quat: Array) -> None:

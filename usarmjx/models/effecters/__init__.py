@@ -18,7 +18,7 @@ from usarmjx.models.effecters.base import (
     Opcode,
     no_dropped_tags,
 )
-from usarmjx.models.effecters.standard import Gripper, Headlight, RfidReleaser, RollerTable
+from usarmjx.models.effecters.standard import Gripper, Headlight, RfidReleaser, RollerTable, Vacuum
 from usarmjx.models.types.robot import RobotSpec, resolve_settings
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "Opcode",
     "RfidReleaser",
     "RollerTable",
+    "Vacuum",
     "effecters_of",
     "no_dropped_tags",
 ]

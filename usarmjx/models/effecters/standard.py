@@ -1,4 +1,4 @@
-"""The manual's effecters (8, 11): gripper, RFID releaser, headlight and roller table.
+"""The manual's effecters (8, 11): gripper, RFID releaser, headlight, roller table; the later vacuum.
 
 The gripper's two fingers hold things by contact and friction; the roller table's driven rollers convey
 objects along its x axis. Releaser and headlight have no joints.
@@ -264,3 +264,52 @@ class RollerTable(Effecter):
 
 
 EFFECTERS.add(RollerTable.kind, RollerTable)
+
+
+GRIP, CLOSE, OPEN = Opcode("Grip", 1.0, 0.0, None), Opcode("Close"), Opcode("Open")
+"""Operations of a vacuum (Gripper.uc of the later versions)."""
+
+
+@dataclass(frozen=True)
+class VacuumSettings(EffecterSettings):
+    """Vacuum.uc of the later versions.
+
+    Attributes:
+        suction_length: How far ahead it picks things up, and how far they may move while it holds them [m].
+    """
+
+    suction_length: Annotated[float, NOT_NEGATIVE] = 0.125
+
+
+@dataclass(frozen=True)
+class Vacuum(Effecter):
+    """Holds the loose object that is ahead of it on its x axis, in single worlds of engine `c`.
+
+    Pure functions cannot hold anything: in all other worlds its operations fail. On the wire it is a Gripper,
+    as in the later versions.
+    """
+
+    kind = "Vacuum"
+    settings_class = VacuumSettings
+
+    @property
+    def opcodes(self) -> tuple[Opcode, ...]:
+        """Grip with 1 or Close to suck, Grip with 0 or Open to let go."""
+        return (GRIP, CLOSE, OPEN)
+
+    def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
+        """Return that it is impossible; see `sim.suction` for worlds in which it is not."""
+        del opcode, value, stock
+        return Effect(possible=False)
+
+    def is_type(self, kind: str) -> bool:
+        """Return whether it is of a type, case ignored; a vacuum is a Gripper too."""
+        return super().is_type(kind) or kind.lower() == Gripper.kind.lower()
+
+    @staticmethod
+    def closes(opcode: Opcode, value: float) -> bool:
+        """Return whether an operation lets it suck."""
+        return opcode == CLOSE or (opcode == GRIP and value != 0.0)
+
+
+EFFECTERS.add(Vacuum.kind, Vacuum)

@@ -49,6 +49,7 @@ ITEM_CLASSES = {
     "Gripper": "Gripper",
     "RFIDReleaser": "RFIDReleaser",
     "RollerTable": "RollerTable",
+    "Vacuum": "Vacuum",
 }
 """Type on the wire and in `Mount.kind` of each class of items (manual 10 and 11)."""
 

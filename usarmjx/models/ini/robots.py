@@ -247,7 +247,7 @@ def _list_of(item: str) -> str:
     kind = kind_of(item, None)
     if kind == "Camera":
         return "AddCameras"
-    return "AddEffecters" if kind in ("Gripper", "RFIDReleaser", "RollerTable") else "AddSensors"
+    return "AddEffecters" if kind in ("Gripper", "RFIDReleaser", "RollerTable", "Vacuum") else "AddSensors"
 
 
 ROBOT_PREFIX = "usarbot."

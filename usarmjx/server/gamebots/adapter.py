@@ -12,7 +12,7 @@ from usarmjx.base.errors import PeerError, PlaceError, UsageError, UsarmjxError
 from usarmjx.base.registry import is_name
 from usarmjx.base.settings import Parameters
 from usarmjx.models.compile.parts import part_name, parts_of
-from usarmjx.models.effecters import Gripper
+from usarmjx.models.effecters import Gripper, Vacuum
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import STEER_SUFFIX, MissionPackage, RobotSpec
 from usarmjx.sensors.rfid import Rfid
@@ -490,7 +490,7 @@ class Client:
     def _operate(self, robot: Robot, command: wire.Set) -> str:
         """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
         index = robot.effecter_index(command.type, command.name)
-        if index is not None and isinstance(robot.effecters[index], Gripper):
+        if index is not None and isinstance(robot.effecters[index], Gripper | Vacuum):
             order = binary_order(command) if self.session.dialect.has_binary_grippers else None
             if order is not None:
                 return grip(self._world, robot, index, closes=order)

@@ -12,7 +12,7 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.settings import Parameters, Setting
 from usarmjx.models.compile.parts import part_name, parts_of
-from usarmjx.models.effecters import Gripper
+from usarmjx.models.effecters import Gripper, Vacuum
 from usarmjx.server.protocol.arguments import read_parameters
 from usarmjx.server.protocol.commands import Set
 from usarmjx.server.protocol.grammar import Message
@@ -31,16 +31,18 @@ def grippers_of(robot: Robot, name: str) -> Iterator[int]:
     parts = {part_name(package, link) for package in packages for link in package.links}
     for index, effecter in enumerate(robot.effecters):
         mount = effecter.mount
-        if isinstance(effecter, Gripper) and (mount.name.lower() == name.lower() or mount.parent in parts):
+        is_meant = mount.name.lower() == name.lower() or mount.parent in parts
+        if is_meant and isinstance(effecter, Gripper | Vacuum):
             yield index
 
 
 def grip(world: ServedWorld, robot: Robot, index: int, *, closes: bool) -> str:
     """Close a gripper, or open it as far as it can; return the Status of RES."""
     effecter = robot.effecters[index]
-    opcode = effecter.opcode("Open")
+    is_vacuum = isinstance(effecter, Vacuum)
+    opcode = effecter.opcode("Grip" if is_vacuum else "Open")
     assert opcode is not None
-    return world.operate(robot, index, opcode, opcode.min_val if closes else opcode.max_val)
+    return world.operate(robot, index, opcode, opcode.max_val if closes == is_vacuum else opcode.min_val)
 
 
 def binary_order(command: Set) -> bool | None:
@@ -58,15 +60,16 @@ def binary_order(command: Set) -> bool | None:
     return False if opcode == "open" and not command.params else None
 
 
-def gripper_reports(robot: Robot) -> list[Message]:
+def gripper_reports(world: ServedWorld, robot: Robot) -> list[Message]:
     """Return a report of each gripper by its present order."""
     messages: list[Message] = []
     with numpy_backend():
-        for effecter in robot.effecters:
-            if isinstance(effecter, Gripper):
-                status = "CLOSED" if _is_closed(robot, effecter) else "OPEN"
-                head = ("Type", effecter.mount.kind), ("Name", effecter.mount.name)
-                messages.append(Message("EFF", (*head, ("Status", status))))
+        for index, effecter in enumerate(robot.effecters):
+            if isinstance(effecter, Gripper | Vacuum):
+                is_vacuum = isinstance(effecter, Vacuum)
+                is_closed = world.sucks(robot, index) if is_vacuum else _is_closed(robot, effecter)
+                head = ("Type", Gripper.kind), ("Name", effecter.mount.name)
+                messages.append(Message("EFF", (*head, ("Status", "CLOSED" if is_closed else "OPEN"))))
     return messages
 
 

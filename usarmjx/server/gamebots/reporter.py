@@ -96,7 +96,7 @@ class Reporter:
             for message in package_report(robot.plan, joints, efforts, time):
                 self._session.send(message)
         if self._session.dialect.has_binary_grippers:
-            for message in gripper_reports(robot):
+            for message in gripper_reports(world, robot):
                 self._session.send(message)
 
     def _send_reading(self, robot: Robot, index: int, reading: np.ndarray, time: float) -> None:

@@ -12,13 +12,14 @@ from usarmjx.base.process import return_freed_memory
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.engines import PhysicsState
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.effecters import Opcode
+from usarmjx.models.effecters import Opcode, Vacuum
 from usarmjx.models.types.arena import ArenaSpec, LooseObject
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.sensors.cameras.picture import Picture
 from usarmjx.sensors.cameras.programs import PicturePrograms
 from usarmjx.sensors.suite import suite_of
+from usarmjx.server.protocol.reports import STATUS_OK
 from usarmjx.server.worlds.met_objects import MetObject, ObjectNames, met_objects
 from usarmjx.server.worlds.recorded import record_step, single_setup, store_reading
 from usarmjx.server.worlds.robot import Robot
@@ -214,10 +215,22 @@ class DynamicWorld(ServedWorld):
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""
+        if isinstance(robot.effecters[effecter], Vacuum):
+            return self._suck(robot, effecter, closes=Vacuum.closes(opcode, value))
         outcome = self._single.operate(robot.slot, effecter, opcode, value)
         command = self._single.state_of(robot.slot).command
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(outcome)
+
+    def _suck(self, robot: Robot, effecter: int, *, closes: bool) -> str:
+        if self.recorder is not None:
+            self.recorder.set_vacuum(robot.slot, effecter, closes=closes)
+        self._single.suck(robot.slot, effecter, closes=closes)
+        return STATUS_OK
+
+    def sucks(self, robot: Robot, effecter: int) -> bool:
+        """Return whether a robot's vacuum is closed."""
+        return self._single.sucks(robot.slot, effecter)
 
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
         """Take a snapshot of the world for pictures; return a function that renders them.

@@ -488,6 +488,11 @@ class ServedWorld(ABC):
     def met_objects(self, robot: Robot, sensor: int) -> list[MetObject]:
         """Return the objects that the beams of a robot's object sensor meet, by the sensor's index."""
 
+    def sucks(self, robot: Robot, effecter: int) -> bool:
+        """Return whether a robot's vacuum, by its index among the effecters, is closed."""
+        del robot, effecter
+        return False
+
     @abstractmethod
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter.
