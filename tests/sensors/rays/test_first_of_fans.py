@@ -1,5 +1,7 @@
 """Fans of which only the nearest hit counts, on Warp: the kernel runs here on its CPU device."""
 
+import re
+import sys
 from functools import partial
 from types import SimpleNamespace
 
@@ -21,6 +23,9 @@ from usarmjx.sensors.rays.targets import normals
 from usarmjx.sensors.suite import query_of, suite_of
 
 pytest.importorskip("warp", reason="needs warp-lang")
+import warp as wp
+
+from usarmjx.sensors import nearest_warp  # noqa: F401 - a module of kernels
 from usarmjx.sensors.rays.first_of_fans_warp import MOST_GEOMS
 from usarmjx.sensors.rays.warp_launches import finds_first_only
 
@@ -143,3 +148,21 @@ def test_sonars_read_on_warp_what_they_read_on_jax(monkeypatch):
     monkeypatch.setattr(raycast, "warp_in_use", lambda: True)
     np.testing.assert_allclose(readings(), plain, atol=ATOL)
     assert 20 < (plain < sonar.max_distance).sum() < 90
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
+@pytest.mark.parametrize("module", ["rays.first_of_fans_warp", "nearest_warp"])
+def test_kernels_compile_for_a_gpu(module, tmp_path):
+    """NVRTC comes with Warp and needs no GPU; what a CPU's thread keeps for itself is in no GPU's memory."""
+    made = wp.get_module(f"usarmjx.sensors.{module}")
+    assert made.kernels
+    wp.compile_aot_module(made, arch=75, module_dir=tmp_path, use_ptx=True)
+    (text,) = (path.read_bytes().decode("latin-1") for path in tmp_path.glob("*.ptx"))
+    assert text.count(".entry") >= 1
+    assert not re.search(r"\.local .*__local_depot", text)
+    held = [
+        int(size)
+        for name, size in re.findall(r"\.shared .*? (\S+)\[(\d+)\];", text)
+        if "smem_base" not in name
+    ]
+    assert sum(held) <= 48 * 1024
