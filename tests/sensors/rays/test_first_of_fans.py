@@ -4,6 +4,7 @@ import re
 import sys
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -139,8 +140,9 @@ def test_sonars_read_on_warp_what_they_read_on_jax(monkeypatch):
                 pos=jnp.zeros((parts, 3)), mat=jnp.tile(jnp.asarray(turn, jnp.float32), (parts, 1, 1))
             )
             fans = sonar.fans(bodies)
+            assert fans is not None
             hits = raycast.cast_rays(geoms, *fans.rays(), query_of(sonar, np.int32(5)), fans)
-            sense = SimpleNamespace(hits=hits)
+            sense: Any = SimpleNamespace(hits=hits)
             found.append(sonar.read(sense, (), jax.random.key(0))[1])
         return np.stack(found)
 
