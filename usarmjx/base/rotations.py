@@ -8,6 +8,9 @@ stored between two operations.
 from collections.abc import Sequence
 from typing import TypeAlias
 
+import jax
+import jax.numpy as jnp
+
 from usarmjx.base.backend import Array, on_numpy, xp
 
 Components: TypeAlias = tuple[Array, ...]
@@ -21,7 +24,7 @@ MIN_NORM = 1e-9
 def mat_from_quat(quat: Array) -> Array:
     """Return the rotation matrix (..., 3, 3) of w-first quaternions (..., 4), normalised first."""
     unit = quat / xp.sqrt((quat * quat).sum(-1, keepdims=True))
-    w, x, y, z = (unit[..., i] for i in range(4))
+    w, x, y, z = parts(unit)
     rows = (
         *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -59,7 +62,12 @@ def matvec(mat: Array, vector: Array) -> Array:
     """
     if on_numpy():
         return (mat @ vector[..., None])[..., 0]
-    return mat[..., 0] * vector[..., 0:1] + mat[..., 1] * vector[..., 1:2] + mat[..., 2] * vector[..., 2:3]
+    if isinstance(vector, jax.Array):
+        x, y, z = jax.lax.split(vector, (1, 1, 1), vector.ndim - 1)
+    else:
+        x, y, z = vector[..., 0:1], vector[..., 1:2], vector[..., 2:3]
+    first, second, third = parts(mat)
+    return first * x + second * y + third * z
 
 
 def matmul(mat: Array, other: Array) -> Array:
@@ -93,7 +101,10 @@ def mat_from_rotation_vector(vector: Array) -> Array:
 
 
 def parts(vectors: Array) -> Components:
-    """Return the components of vectors (..., n)."""
+    """Return the components of vectors (..., n), or the columns of matrices."""
+    # One operation to trace, in less than half the time of indexing; constants stay NumPy's.
+    if isinstance(vectors, jax.Array):
+        return tuple(jnp.unstack(vectors, axis=-1))
     return tuple(vectors[..., i] for i in range(vectors.shape[-1]))
 
 
