@@ -18,6 +18,7 @@ import numpy as np
 from usarmjx.engines.block import smooth_code
 from usarmjx.engines.block.advance import Advance, fits, untyped
 from usarmjx.engines.block.branches import branches_of
+from usarmjx.engines.block.contact_rows import make_constraint
 from usarmjx.engines.planar.warp_solids import expand_macros
 
 warp: Any = import_module("warp")
@@ -366,7 +367,6 @@ def stages(
         collision: Finds contacts.
         factor_solve: Solves for accelerations without constraints.
     """
-    constraint = import_module(f"{MUJOCO_WARP}.constraint")
 
     def fwd_position(m: Any, d: Any, factorize: bool = True) -> None:  # noqa: ANN401
         del factorize
@@ -376,7 +376,7 @@ def stages(
             factor_solve(m, d, d.M, d.qLD, d.qLDiagInv, d.qacc_smooth, d.qfrc_smooth)
         if m.opt.run_collision_detection:
             collision(m, d)
-        constraint.make_constraint(m, d)
+        make_constraint(m, d)
 
     def fwd_acceleration(m: Any, d: Any, factorize: bool = False) -> None:  # noqa: ANN401
         del m, factorize
