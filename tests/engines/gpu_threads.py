@@ -5,6 +5,7 @@ vote and exchange numbers) is made of barriers. It shows what the code computes,
 """
 
 import ctypes
+import re
 import shutil
 import subprocess
 import tempfile
@@ -134,12 +135,12 @@ extern "C" void run(GIVEN, int dim) {
 
 
 @cache
-def _library(source: str) -> Any:
+def _library(source: str, more: tuple[str, ...] = ()) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         code, library = Path(folder) / "gpu.cpp", Path(folder) / "gpu.so"
         code.write_text(source, encoding="utf-8")
         flags = ["-O1", "-std=c++20", "-shared", "-fPIC", "-pthread", "-w"]
-        subprocess.run([COMPILER, *flags, str(code), "-o", str(library)], check=True)
+        subprocess.run([COMPILER, *flags, *more, str(code), "-o", str(library)], check=True)
         return ctypes.CDLL(str(library)).run
 
 
@@ -214,3 +215,86 @@ def run_struct_as_on_a_gpu(
     sizes = [size for value in arrays.values() for size in (len(value), value.strides[0])]
     integers = (ctypes.c_int * (len(whole) + len(sizes)))(*whole.values(), *sizes)
     run(pointers, integers, *map(ctypes.c_int, numbers.values()), dim)
+
+
+WARPS = """
+struct Dim3 { unsigned x, y, z; };
+thread_local Dim3 blockIdx;
+static Dim3 gridDim{1, 1, 1}, blockDim{1, 1, 1};
+inline float4 __ldg(const float4* at) { return *at; }
+template <class T> T __reduce_min_sync(unsigned mask, T x) {
+    for (int step = 16; step > 0; step >>= 1) {
+        const T other = __shfl_xor_sync(mask, x, step);
+        x = other < x ? other : x;
+    }
+    return x;
+}
+"""
+
+WARP_RUN = """
+extern "C" void run(void** arrays, int* numbers, int dim) {
+    wp_args_NAME args{};
+    FILL
+    wp::launch_bounds_t<1> bounds{};
+    bounds.shape[0] = bounds.size = dim;
+    blockDim.x = BLOCK;
+    for (int begin = 0; begin < dim; begin += BLOCK) {
+        block = std::make_unique<std::barrier<>>(BLOCK);
+        groups.clear();
+        for (int warp = 0; warp < BLOCK / 32; ++warp) members[warp] = 0xffffffffu;
+        std::vector<std::thread> all;
+        for (int i = 0; i < BLOCK; ++i)
+            all.emplace_back([=, &args] {
+                threadIdx.x = i;
+                blockIdx = {unsigned(begin / BLOCK), 0, 0};
+                auto mine = args;
+                NAME_cpu_kernel_forward(bounds, begin + i, &mine);
+            });
+        for (auto& one : all) one.join();
+    }
+}
+"""
+
+
+def run_kernel_as_on_a_gpu(
+    kernel: Any, args: list[Any], outputs: list[np.ndarray], dim: int, block: int
+) -> list[np.ndarray]:
+    """Return the outputs of a kernel in Warp's Python, whose native functions see a GPU.
+
+    Args:
+        kernel: Warp's; it is compiled with its module.
+        args: Its arguments before the outputs: contiguous arrays, and integers.
+        outputs: Arrays that it writes.
+        dim: Threads, a multiple of `block`.
+        block: Threads of a block.
+    """
+    import warp as wp
+
+    with tempfile.TemporaryDirectory() as folder:
+        # The code for a CPU is that for a GPU, but for what `__CUDA_ARCH__` says in native functions.
+        wp.compile_aot_module(kernel.module, device="cpu", module_dir=folder)
+        (path,) = Path(folder).glob("*.cpp")
+        text = path.read_text(encoding="utf-8")
+    heads, gpu = GPU[: GPU.index("namespace wp")], GPU[GPU.index("#define __CUDA_ARCH__") :]
+    last = '#include "deterministic.h"'
+    text = heads + text.replace("#define WP_NO_CRT", "").replace(last, last + gpu + WARPS)
+    found = re.search(rf"void ({kernel.key}_\w+)_cpu_kernel_forward", text)
+    assert found is not None
+    name = found.group(1)
+    values, numbers, arrays, fill = [*args, *outputs], [], [], []
+    for known, value in zip(kernel.adj.args, values, strict=True):
+        field = f"args.{known.label}"
+        if isinstance(value, np.ndarray):
+            fill.append(f"{field}.data = (decltype({field}.data))arrays[{len(arrays)}];")
+            shape = f"{field}.ndim = 1; {field}.shape[0] = {value.size};"
+            fill.append(f"{shape} {field}.strides[0] = sizeof(*{field}.data);")
+            arrays.append(value.ctypes.data)
+        else:
+            fill.append(f"{field} = numbers[{len(numbers)}];")
+            numbers.append(int(value))
+    run = WARP_RUN.replace("NAME", name).replace("FILL", " ".join(fill)).replace("BLOCK", str(block))
+    native = Path(wp.__file__).parent / "native"
+    flags = (f"-I{native}", "-Wl,--defsym=wp_cpu_run_block=0")
+    pointers = (ctypes.c_void_p * len(arrays))(*arrays)
+    _library(text + run, flags)(pointers, (ctypes.c_int * len(numbers))(*numbers), dim)
+    return outputs

@@ -1,5 +1,6 @@
 """Pictures of a robot's camera: colours, depths, segmentation, and annotation of each pixel."""
 
+import os
 from functools import partial
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ from flax import struct
 from usarmjx.base.backend import Array, on_numpy, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.base.nodes import Node
+from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, RayHits
 from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, from_tiles, omni_rays, pinhole_rays
@@ -19,6 +21,8 @@ from usarmjx.sensors.cameras.shading import RenderScene, Shaded, shade, shadow_g
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.sensors.rays.targets import GeomBlock, concatenated
 
+PICTURES_ON_WARP = os.environ.get("USARMJX_PICTURES", "warp") == "warp"
+"""Whether GPUs shade by kernels of Warp; otherwise by arrays, as before: until both are measured."""
 MAX_SIDE = 4096
 """Largest side of a picture [pixels]."""
 HIDDEN_GEOMS_MULTIPLE = 256
@@ -231,8 +235,12 @@ def _shade_rays(
         block.replace(owner=camera_owners(block.owner, viewpoint.slot, viewpoint.hidden_geoms))
         for block in render_scene.geoms.blocks
     ]
-    geoms = render_scene.geoms.replace(blocks=tuple(blocks))
-    return shade(render_scene.replace(geoms=geoms), start, along, slot, caster)
+    visible = render_scene.replace(geoms=render_scene.geoms.replace(blocks=tuple(blocks)))
+    if caster is None and PICTURES_ON_WARP and warp_in_use():
+        from usarmjx.sensors.cameras.shading_warp import shade_on_warp
+
+        return shade_on_warp(visible, start, along, slot)
+    return shade(visible, start, along, slot, caster)
 
 
 @partial(jax.jit, static_argnames=("width", "height"))

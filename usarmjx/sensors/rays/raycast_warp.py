@@ -5,6 +5,7 @@ ray against one geom after the other, the nearest first, until the next is farth
 On a CPU, in tests, each thread is a bundle of one ray.
 """
 
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,8 @@ WARP_SIZE = wp.constant(32)
 """Lanes of a warp."""
 KEYS_PER_LANE = 4
 """Geoms whose distances a lane holds during a pass."""
+WHOLE_PASSES = wp.constant(os.environ.get("USARMJX_RAY_PASSES", "whole") == "whole")
+"""Whether a pass looks at keys beyond the last geom: until both are measured."""
 SLOT_BITS = wp.constant(wp.uint32(255))
 """Last bits of a key: index of the geom in the pass. The first bits sort like the distance."""
 LAST_KEY = wp.constant(wp.uint32(0xFFFFFFFF))
@@ -79,7 +82,9 @@ def lanes() -> int:
 #endif
     return x;
 """)
-def _sum_of_lanes(x: float) -> float: ...
+def sum_of_lanes(x: float) -> float:
+    """Return the sum of a number over all lanes."""
+    ...
 
 
 @wp.func_native("""
@@ -88,7 +93,9 @@ def _sum_of_lanes(x: float) -> float: ...
 #endif
     return x;
 """)
-def _least_of_lanes(x: float) -> float: ...
+def least_of_lanes(x: float) -> float:
+    """Return the smallest of all lanes' numbers."""
+    ...
 
 
 @wp.func_native("""
@@ -118,7 +125,45 @@ def least_key_of_lanes(x: wp.uint32) -> wp.uint32:
     return x;
 #endif
 """)
-def _any_lane(x: bool) -> bool: ...
+def any_lane(x: bool) -> bool:
+    """Return whether it is true in any lane."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ballot_sync(0xffffffffu, x);
+#else
+    return x ? 1u : 0u;
+#endif
+""")
+def lanes_in_which(x: bool) -> wp.uint32:
+    """Return the lanes in which it is true: bit k for lane k."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ffs((int)lanes) - 1;
+#else
+    return lanes == 0u ? -1 : 0;
+#endif
+""")
+def first_lane(lanes: wp.uint32) -> int:
+    """Return the first of some lanes; -1 without any."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, x, lane);
+#else
+    return x;
+#endif
+""")
+def from_lane(x: float, lane: int) -> float:
+    """Return another lane's number."""
+    ...
 
 
 @wp.func_native("""
@@ -135,7 +180,9 @@ def load_vec4(values: wp.array[wp.vec4], index: int) -> wp.vec4:
 
 
 @wp.func_native("return reinterpret_cast<wp::uint64>(values.data + index);")
-def _address(values: wp.array[wp.vec4], index: int) -> wp.uint64: ...
+def address_of(values: wp.array[wp.vec4], index: int) -> wp.uint64:
+    """Return the address of a row."""
+    ...
 
 
 @wp.func_native("""
@@ -173,8 +220,8 @@ def world_geoms(
 ) -> WorldGeoms:
     """Return where the geoms of a world are; `count` of both."""
     world = WorldGeoms()
-    world.own = _address(own, own_world * wp.max((count - (end - begin) + 31) >> 5, 1) * GROUP_SIZE)
-    world.fixed = _address(fixed, fixed_world * wp.max((end - begin + 31) >> 5, 1) * GROUP_SIZE)
+    world.own = address_of(own, own_world * wp.max((count - (end - begin) + 31) >> 5, 1) * GROUP_SIZE)
+    world.fixed = address_of(fixed, fixed_world * wp.max((end - begin + 31) >> 5, 1) * GROUP_SIZE)
     world.begin = begin
     world.end = end
     return world
@@ -200,19 +247,19 @@ class WarpCone:
 
 
 @wp.func
-def _cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
+def cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
     """Return the bounding cone of the rays of all lanes."""
     cone = WarpCone()
     share = 1.0 / wp.float32(lanes())
     cone.tip = start
     cone.tip_radius = CONE_MARGIN
     if not same_start:
-        cone.tip = share * wp.vec3(_sum_of_lanes(start[0]), _sum_of_lanes(start[1]), _sum_of_lanes(start[2]))
+        cone.tip = share * wp.vec3(sum_of_lanes(start[0]), sum_of_lanes(start[1]), sum_of_lanes(start[2]))
         away = start - cone.tip
-        cone.tip_radius = CONE_MARGIN + wp.sqrt(-_least_of_lanes(-wp.dot(away, away)))
-    axis = share * wp.vec3(_sum_of_lanes(along[0]), _sum_of_lanes(along[1]), _sum_of_lanes(along[2]))
+        cone.tip_radius = CONE_MARGIN + wp.sqrt(-least_of_lanes(-wp.dot(away, away)))
+    axis = share * wp.vec3(sum_of_lanes(along[0]), sum_of_lanes(along[1]), sum_of_lanes(along[2]))
     cone.axis = axis / wp.sqrt(wp.max(wp.dot(axis, axis), TINY))
-    cosine = _least_of_lanes(wp.dot(along, cone.axis))
+    cosine = least_of_lanes(wp.dot(along, cone.axis))
     slope = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0)) / wp.max(cosine, MIN_COSINE) + MIN_SLOPE
     cone.slope = wp.where(cosine < MIN_COSINE, -1.0, slope)
     return cone
@@ -298,7 +345,7 @@ def _next_key(keys: Keys, after: wp.uint32) -> wp.uint32:
 
 
 @wp.func
-def _nearest(  # noqa: PLR0913 - a struct of them would do no more
+def nearest_geom(  # noqa: PLR0913 - a struct of them would do no more
     world: WorldGeoms,
     wide: int,
     count: int,
@@ -313,7 +360,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     best = WarpBest()
     best.distance = reach
     best.geom = -1.0
-    cone = _cone_about(start, along, same_start)
+    cone = cone_about(start, along, same_start)
     width = lanes()
     begin = wp.int32(0)
     while begin < count:
@@ -322,17 +369,21 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
         if begin < wide:
             # Lanes past the end load the last geom; `_key` leaves it out by its slot.
             for k in range(KEYS_PER_LANE):
-                slot = k * width + lane
-                at = geom_of(world, wp.min(begin + slot, end - 1))
-                keys[k] = box_key(at, cone, exclude, slot, end - begin)
+                keys[k] = LAST_KEY
+                if WHOLE_PASSES or begin + k * width < end:
+                    slot = k * width + lane
+                    at = geom_of(world, wp.min(begin + slot, end - 1))
+                    keys[k] = box_key(at, cone, exclude, slot, end - begin)
         else:
             for k in range(KEYS_PER_LANE):
-                slot = k * width + lane
-                at = geom_of(world, wp.min(begin + slot, end - 1))
-                keys[k] = _sphere_key(at, cone, exclude, slot, end - begin)
+                keys[k] = LAST_KEY
+                if WHOLE_PASSES or begin + k * width < end:
+                    slot = k * width + lane
+                    at = geom_of(world, wp.min(begin + slot, end - 1))
+                    keys[k] = _sphere_key(at, cone, exclude, slot, end - begin)
         key = _first_key(keys)
         # All lanes stay in the loop until none needs the next geom: the shuffles need the whole warp.
-        while key < BEYOND and _any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
+        while key < BEYOND and any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
             at = geom_of(world, begin + wp.int32(key & SLOT_BITS))
             pos = row_of(at, 0)
             r0 = row_of(at, 1)
@@ -391,7 +442,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
             # All fans of a cast have the same number of rays, one fan after the other.
             fan += integer_quotient(ray, integer_quotient(rays, fans))
         world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
-        best = _nearest(
+        best = nearest_geom(
             world,
             wide,
             count,
@@ -438,9 +489,9 @@ def cast_rays(  # noqa: PLR0913 - as above
     best.geom = -1.0
     along = direction[ray]
     aimed = wp.length_sq(along) > 0.0
-    if wanted[cast] > 0 and _any_lane(aimed):
+    if wanted[cast] > 0 and any_lane(aimed):
         world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
-        best = _nearest(
+        best = nearest_geom(
             world,
             wide,
             count,
@@ -491,7 +542,7 @@ def cast_single_rays(  # noqa: PLR0913 - as above
         while i < end and wanted[cast] > 0:
             along = direction[cast * rays + i]
             if wp.length_sq(along) > 0.0:
-                best = _nearest(
+                best = nearest_geom(
                     world,
                     wide,
                     count,
