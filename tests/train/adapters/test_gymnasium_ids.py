@@ -125,8 +125,8 @@ def test_gymnasium_makes_worlds_by_their_id(vector):
     assert worlds.spec.id == "usarmjx/drive-to-goal-v1"
     one = gymnasium.make("usarmjx/drive-to-goal-v1", **light)
     assert one.observation_space.shape == worlds.single_observation_space.shape
-    with pytest.raises(UsageError, match=r"num_envs is 5: soccer has 4 robots in a world.* multiple of 4"):
-        gymnasium.make_vec("usarmjx/soccer-v1", num_envs=5, robots="each", engine="c")
+    with pytest.raises(UsageError, match=r"num_envs is 5: soccer-v2 has 4 robots in a world.* multiple of 4"):
+        gymnasium.make_vec("usarmjx/soccer-v2", num_envs=5, robots="each", engine="c")
 
 
 def test_one_world_passes_gymnasium_checks_and_goes_on_with_the_next_episode(vector):

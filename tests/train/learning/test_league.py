@@ -29,7 +29,7 @@ BY_HAND = Policy(
     initial_carry=lambda worlds: (),
     act=lambda carry, obs, key: (carry, (jnp.full((*obs[0].shape[:2], 2), 0.25),)),
 )
-BASELINE, ITSELF = 2, 3
+BASELINE, IDLE_ONES, ITSELF = 2, 3, 4
 """Numbers of these players where there are two places."""
 
 
@@ -39,8 +39,8 @@ def train_state():
 
 
 def sums(**results):
-    """Games, won and lost of player 0, 1 and the baseline."""
-    rows = {f"league/{name}/{player}": 0.0 for name in ("games", "won", "lost") for player in range(3)}
+    """Games, won and lost of player 0, 1, the baseline, and idle ones."""
+    rows = {f"league/{name}/{player}": 0.0 for name in ("games", "won", "lost") for player in range(4)}
     for player, row in results.items():
         rows |= {f"league/{n}/{player[1:]}": x for n, x in zip(("games", "won", "lost"), row, strict=True)}
     return {name: jnp.float32(one) for name, one in rows.items()}
@@ -61,6 +61,10 @@ def test_ratings_move_by_surprise_and_the_baselines_stays(train_state):
     # A draw counts half: two of four points were expected, and two were made.
     after, _ = update_league(league, sums(p0=(4, 1, 1)), policy_params(train_state), jnp.int32(3), 100)
     assert float(after.rating) == float(after.ratings[0]) == FIRST_RATING
+    # Goals against nobody are no proof.
+    after, stats = update_league(league, sums(p3=(4, 4, 0)), policy_params(train_state), jnp.int32(3), 100)
+    assert (float(after.rating), float(stats["league/idle_won"])) == (FIRST_RATING, 1.0)
+    assert after.won.tolist() == [0, 0, 0, 4]
     # What the policy wins, the past self loses.
     after, _ = update_league(league, sums(p0=(2, 2, 0)), policy_params(train_state), jnp.int32(3), 100)
     assert float(after.rating) - FIRST_RATING == FIRST_RATING - float(after.ratings[0]) == 16.0
@@ -68,17 +72,17 @@ def test_ratings_move_by_surprise_and_the_baselines_stays(train_state):
 
 def test_the_policy_takes_a_free_place_and_then_that_of_the_weakest(train_state):
     params, league = policy_params(train_state), train_state.league
-    assert [row.player for row in standings(league)] == ["policy", "baseline"]
+    assert [row.player for row in standings(league)] == ["policy", "baseline", "idle"]
     later = jax.tree.map(lambda one: one + 1.0, params)
     for now in (20, 40):
         league, _ = update_league(league, sums(), later, jnp.int32(now), 20)
     assert sorted(league.since.tolist()) == [20, 40]
-    league = league.replace(ratings=jnp.array([1100.0, 900.0]), games=jnp.array([5.0, 6.0, 7.0]))
+    league = league.replace(ratings=jnp.array([1100.0, 900.0]), games=jnp.array([5.0, 6.0, 7.0, 8.0]))
     kept, weak = int(league.since[0]), int(league.since[1])
     league, _ = update_league(league, sums(), params, jnp.int32(60), 20)
     assert league.since.tolist() == [kept, 60]
     assert weak not in league.since
-    assert league.games.tolist() == [5.0, 0.0, 7.0]
+    assert league.games.tolist() == [5.0, 0.0, 7.0, 8.0]
     for one, new, old in zip(*map(jax.tree.leaves, (league.pool, params, later)), strict=True):
         np.testing.assert_array_equal(one[1], new)
         np.testing.assert_array_equal(one[0], old)
@@ -89,23 +93,23 @@ def test_the_policy_takes_a_free_place_and_then_that_of_the_weakest(train_state)
 def test_opponents_are_drawn_by_their_shares(train_state):
     """4,000 draws: shares within 0.03, which is more than three standard deviations."""
     keys = jax.random.split(jax.random.key(0), 4000)
-    mix, league = (0.1, 0.2, 0.3, 0.4), train_state.league
-    empty = np.bincount(draw_opponents(league, mix, keys), minlength=4) / 4000
-    np.testing.assert_allclose(empty, [0, 0, 0.1, 0.9], atol=0.03)
+    mix, league = (0.05, 0.05, 0.2, 0.3, 0.4), train_state.league
+    empty = np.bincount(draw_opponents(league, mix, keys), minlength=5) / 4000
+    np.testing.assert_allclose(empty, [0, 0, 0.05, 0.05, 0.9], atol=0.03)
     league = league.replace(since=jnp.array([5, 9]), ratings=jnp.array([1200.0, 900.0]))
-    shares = np.bincount(draw_opponents(league, mix, keys), minlength=4) / 4000
-    np.testing.assert_allclose(shares, [0.3 + 0.2, 0.2, 0.1, 0.2], atol=0.03)
+    shares = np.bincount(draw_opponents(league, mix, keys), minlength=5) / 4000
+    np.testing.assert_allclose(shares, [0.3 + 0.2, 0.2, 0.05, 0.05, 0.2], atol=0.03)
 
 
 def test_rivals_act_by_their_player_and_learn_only_from_games_with_itself(train_state):
     networks = make_networks((GROUP,), 0, CONFIG)
     rivals = Rivals(TEAM, networks.policy, CONFIG, BY_HAND)
-    opponent = jnp.array([0, 1, BASELINE, ITSELF])
+    opponent = jnp.array([0, 1, BASELINE, ITSELF, IDLE_ONES])
     match = rivals.match(
-        train_state.league, opponent, jnp.zeros(4, bool), jax.random.split(jax.random.key(1), 4)
+        train_state.league, opponent, jnp.zeros(5, bool), jax.random.split(jax.random.key(1), 5)
     )
     np.testing.assert_array_equal(match.opponent, opponent)
-    np.testing.assert_array_equal(match.learns, [[1, 1, own, own] for own in (0, 0, 0, 1)])
+    np.testing.assert_array_equal(match.learns, [[1, 1, own, own] for own in (0, 0, 0, 1, 0)])
 
     # Weights of 0 but for the biases of the outputs: means of 3 and -3, and hardly any deviation.
     def constant(mean):
@@ -116,13 +120,14 @@ def test_rivals_act_by_their_player_and_learn_only_from_games_with_itself(train_
 
     pool = jax.tree.map(lambda a, b: jnp.stack([a, b]), constant(3.0), constant(-3.0))
     league = train_state.league.replace(pool=pool)
-    own = jnp.full((4, 4, 2), 0.5)
-    acts = rivals.replace_actions(league, match, jnp.ones((4, 4, 3)), own, jax.random.key(2), jnp.arange(4))
+    own = jnp.full((5, 4, 2), 0.5)
+    acts = rivals.replace_actions(league, match, jnp.ones((5, 4, 3)), own, jax.random.key(2), jnp.arange(5))
     np.testing.assert_array_equal(acts[:, :2], 0.5)
     np.testing.assert_allclose(acts[0, 2:], 3.0, atol=0.1)
     np.testing.assert_allclose(acts[1, 2:], -3.0, atol=0.1)
     np.testing.assert_allclose(np.tanh(acts[2, 2:]), 0.25, atol=1e-6)
     np.testing.assert_array_equal(acts[3, 2:], 0.5)
+    np.testing.assert_array_equal(acts[4, 2:], 0.0)
 
 
 def test_only_whole_games_against_one_player_are_rated(train_state):
@@ -147,8 +152,8 @@ def test_a_league_needs_rivals():
         Rivals(SimpleNamespace(task=SimpleNamespace(rivals=()), name="maze"), policy, CONFIG, BY_HAND)
     with pytest.raises(UsageError, match="baseline of duel has a memory"):
         Rivals(TEAM, policy, CONFIG, Policy(initial_carry=lambda worlds: jnp.zeros(worlds), act=BY_HAND.act))
-    with pytest.raises(UsageError, match="expected four shares"):
-        Config(league=2, league_mix=(0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(UsageError, match="expected five shares"):
+        Config(league=2, league_mix=(0.0, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="needs network=mlp and gru_size=0"):
         Config(league=2, gru_size=8)
 

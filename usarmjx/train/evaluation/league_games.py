@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UsageError
@@ -34,6 +35,15 @@ class Games(NamedTuple):
     won: int
     lost: int
     score: float
+
+
+def _stay(carry: Carry, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Carry, tuple[jax.Array, ...]]:
+    del key
+    return carry, (jnp.zeros((*obs[0].shape[:2], 2)),)
+
+
+IDLE = Policy(initial_carry=lambda worlds: (), act=_stay)
+"""Policy of robots with two wheels that stand."""
 
 
 def runs_in(folder: Path) -> list[Path]:
@@ -92,8 +102,10 @@ def play_league(
     for row in standings(league):
         if row.player == "policy":
             continue
-        place = row.place
-        other = BASELINES.get(env.name)(env) if place is None else _past_self(networks, league, place)
+        if row.place is not None:
+            other = _past_self(networks, league, row.place)
+        else:
+            other = IDLE if row.player == "idle" else BASELINES.get(env.name)(env)
         scores = run_episodes(env, against(own, other, rivals), worlds, seed, tell=tell).scores
         won, lost = int((scores > 0).sum()), int((scores < 0).sum())
         found[row.player] = Games(len(scores), won, lost, float(np.mean(scores)))
@@ -112,7 +124,8 @@ def league_table(rows: list[Standing], played: dict[str, Games]) -> str:
         now = played.get(row.player)
         ours = [str(row.games), str(row.won), str(row.lost)]
         more = [str(now.games), str(now.won), str(now.lost), f"{now.score:.2f}"] if now else [""] * 4
-        return [row.player, f"{row.rating:.0f}", *ours, *more]
+        rating = "" if row.rating is None else f"{row.rating:.0f}"
+        return [row.player, rating, *ours, *more]
 
     width = len(heads) if played else 5
     return markdown_table(heads[:width], [cells(row)[:width] for row in rows])

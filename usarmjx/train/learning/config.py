@@ -238,7 +238,8 @@ class Config:
             the task's can be replaced; 0: never.
         league: Past selves that agents play against, in tasks with rivals; 0: only against itself.
         league_interval: Iterations between two policies that join the past selves.
-        league_mix: Shares of games against the baseline, itself, the strongest past self, any past self.
+        league_mix: Shares of games against idle rivals, the baseline, itself, the strongest past self, and
+            any past self.
         checkpoint_interval: Iterations between checkpoints; there is always one at the end.
         keep_checkpoints: Latest checkpoints that are kept; the best one is kept too.
         black_box: Most recordings of worlds that go bad, in the folder `faults` of the run: the last two
@@ -282,7 +283,7 @@ class Config:
     arena_refresh_interval: Annotated[int, Setting(ge=0, aliases=("renew",))] = 4
     league: Annotated[int, Setting(ge=0)] = 0
     league_interval: Annotated[int, Setting(ge=1)] = 20
-    league_mix: Annotated[tuple[float, ...], Setting(ge=0, min_length=4)] = (0.2, 0.2, 0.3, 0.3)
+    league_mix: Annotated[tuple[float, ...], Setting(ge=0, min_length=5)] = (0.2, 0.2, 0.2, 0.2, 0.2)
     checkpoint_interval: Annotated[int, Setting(ge=1, aliases=("checkpoint_every",))] = 20
     keep_checkpoints: Annotated[int, Setting(ge=1, aliases=("keep",))] = 2
     black_box: Annotated[int, Setting(ge=0)] = 4
@@ -305,8 +306,8 @@ class Config:
             return f"teacher is {self.teacher}, but imitation_steps is 0: nothing is imitated"
         if self.league and (self.gru_size or self.network != "mlp"):
             return f"league is {self.league}, which needs network=mlp and gru_size=0"
-        if len(self.league_mix) != 4 or sum(self.league_mix) <= 0:
-            return f"league_mix is {list(self.league_mix)}, expected four shares, not all of them 0"
+        if len(self.league_mix) != 5 or sum(self.league_mix) <= 0:
+            return f"league_mix is {list(self.league_mix)}, expected five shares, not all of them 0"
         if self.gru_size and self.action_repeat > 1:
             return (
                 f"gru_size is {self.gru_size}, but a memory needs action_repeat 1, not {self.action_repeat}"

@@ -1,9 +1,10 @@
 """League of past selves, in tasks where some agents play against the others.
 
-The rivals are driven by a past self, by the task's baseline, or by the present policy itself: each world
-draws one for each episode. Only in games against itself the rivals learn, too. At intervals the present
-policy joins the past selves, in place of the weakest one. Elo's ratings follow from the games of the
-training; the baseline's stays at `FIRST_RATING`, and all others are to be read against it.
+The rivals stand idle, or are driven by the task's baseline, by the present policy itself, or by a past self:
+each world draws one for each episode. Idle ones are no opponents, but from them agents learn to score. Only
+in games against itself the rivals learn, too. At intervals the present policy joins the past selves, in place
+of the weakest one. Elo's ratings follow from the games of the training; the baseline's stays at
+`FIRST_RATING`, and all others are to be read against it.
 
 Vinyals et al., "Grandmaster level in StarCraft II using multi-agent reinforcement learning" (2019).
 """
@@ -38,16 +39,16 @@ RESULTS = ("games", "won", "lost")
 class League(PyTreeNode, kw_only=True):
     """Past selves of a policy, and its results against them.
 
-    Players are numbered: the places of past selves, then the baseline, then the policy itself.
+    Players are numbered: the places of past selves, then the baseline, idle rivals, and the policy itself.
 
     Attributes:
         pool: Policies of the past selves (size, ...).
         since: Iteration after which each joined (size,); -1: the place is free.
         ratings: Their ratings (size,).
         rating: That of the policy ().
-        games: Games of the policy against each of them, and against the baseline (size + 1,).
-        won: Those it won (size + 1,).
-        lost: Those it lost (size + 1,).
+        games: Games of the policy against each of them, the baseline, and idle rivals (size + 2,).
+        won: Those it won (size + 2,).
+        lost: Those it lost (size + 2,).
     """
 
     pool: PolicyParams
@@ -78,7 +79,7 @@ class Match(PyTreeNode, kw_only=True):
 
 def start_league(params: PolicyParams, size: int) -> League:
     """Return a league without past selves; `params` gives the shapes."""
-    none = jnp.zeros(size + 1)
+    none = jnp.zeros(size + 2)
     return League(
         pool=jax.tree.map(lambda one: jnp.stack([one] * size), params),
         since=jnp.full(size, -1, jnp.int32),
@@ -100,20 +101,19 @@ def draw_opponents(league: League, mix: tuple[float, ...], keys: jax.Array) -> j
 
     Args:
         league: The league.
-        mix: Shares of games against the baseline, itself, the strongest past self, and any past self, see
-            `Config.league_mix`.
+        mix: Shares of games, see `Config.league_mix`.
         keys: Keys of the worlds (worlds,).
     """
     there = league.since >= 0
-    itself = jnp.int32(league.size + 1)
+    by_hand, idle, itself = (jnp.int32(league.size + number) for number in range(3))
     best = jnp.argmax(jnp.where(there, league.ratings, -jnp.inf))
 
     def draw(key: jax.Array) -> jax.Array:
         kind, one = jax.random.split(key)
         # Without past selves yet, it plays against itself.
         past = jax.random.categorical(one, jnp.where(there, 0.0, -1e9))
-        players = jnp.stack([itself - 1, itself, best.astype(jnp.int32), past.astype(jnp.int32)])
-        players = jnp.where(there.any() | (jnp.arange(4) < 2), players, itself)
+        past_selves = jnp.where(there.any(), jnp.stack([best, past]).astype(jnp.int32), itself)
+        players = jnp.concatenate([jnp.stack([idle, by_hand, itself]), past_selves])
         return players[jax.random.categorical(kind, jnp.log(jnp.asarray(mix) + 1e-12))]
 
     return jax.vmap(draw)(keys)
@@ -156,7 +156,7 @@ class Rivals:
         """
         drawn = draw_opponents(league, self._config.league_mix, keys)
         opponent = jnp.where(is_first, drawn, opponent)
-        itself = opponent == league.size + 1
+        itself = opponent == league.size + 2
         agents = len(self.rows) + len(self.team)
         learns = jnp.ones((len(opponent), agents), bool).at[:, self.rows].set(itself[:, None])
         return Match(opponent=opponent, learns=learns)
@@ -189,8 +189,8 @@ class Rivals:
         by_hand = self._baseline.act((), (seen,), key)[1][0]
         by_hand = jnp.arctanh(jnp.clip(by_hand, -LARGEST_ACTION, LARGEST_ACTION))
         who = match.opponent[:, None, None]
-        chosen = jnp.where(who == league.size, by_hand, theirs)
-        return raw.at[:, self.rows].set(jnp.where(who > league.size, raw[:, self.rows], chosen))
+        chosen = jnp.where(who == league.size, by_hand, jnp.where(who == league.size + 1, 0.0, theirs))
+        return raw.at[:, self.rows].set(jnp.where(who == league.size + 2, raw[:, self.rows], chosen))
 
     def results(
         self,
@@ -210,7 +210,7 @@ class Rivals:
         over, length, score = ended
         rows: dict[str, jax.Array] = {}
         steps = self._config.rollout_length * self._config.action_repeat
-        for player in range(league.size + 1):
+        for player in range(league.size + 2):
             game = over & (opponent == player)
             if player < league.size:  # a place that was taken during the game had two players
                 game &= length <= (now - league.since[player]) * steps
@@ -232,24 +232,24 @@ def update_league(
         interval: Iterations between two past selves.
     """
     games, won, lost = (
-        jnp.stack([sums[f"league/{name}/{player}"] for player in range(league.size + 1)]) for name in RESULTS
+        jnp.stack([sums[f"league/{name}/{player}"] for player in range(league.size + 2)]) for name in RESULTS
     )
+    idle = won[-1] / games[-1]
+    totals = {
+        name: getattr(league, name) + one for name, one in zip(RESULTS, (games, won, lost), strict=True)
+    }
+    games, won, lost = games[:-1], won[:-1], lost[:-1]  # idle rivals are not rated
     points = won + (games - won - lost) / 2
     all_ratings = jnp.concatenate([league.ratings, jnp.full(1, FIRST_RATING)])
     surprise = points - games * expected_result(league.rating, all_ratings)
     rating = league.rating + RATING_STEP * surprise.sum() / jnp.maximum(games.sum(), 1.0)
     ratings = league.ratings - RATING_STEP * (surprise / jnp.maximum(games, 1.0))[:-1]
-    league = league.replace(
-        rating=rating,
-        ratings=ratings,
-        games=league.games + games,
-        won=league.won + won,
-        lost=league.lost + lost,
-    )
+    league = league.replace(rating=rating, ratings=ratings, **totals)
     past = games[:-1].sum()
     stats = {
         "league/rating": rating,
         "league/best_past": jnp.where(league.since >= 0, ratings, -jnp.inf).max(),
+        "league/idle_won": idle,
         "league/past": points[:-1].sum() / past,
         "league/baseline_games": games[-1],
         "league/baseline_won": won[-1] / games[-1],
@@ -277,8 +277,8 @@ class Standing(NamedTuple):
     """Line of a league's table.
 
     Attributes:
-        player: `policy`, `baseline`, or `after` and the iteration after which a past self joined.
-        rating: Rating [Elo points].
+        player: `policy`, `baseline`, `idle`, or `after` and the iteration after which a past self joined.
+        rating: Rating [Elo points]; None: it is not rated.
         games: Games of the policy against it.
         won: Those that the policy won.
         lost: Those that it lost.
@@ -286,7 +286,7 @@ class Standing(NamedTuple):
     """
 
     player: str
-    rating: float
+    rating: float | None
     games: int
     won: int
     lost: int
@@ -301,12 +301,13 @@ def standings(league: League) -> list[Standing]:
         Standing(
             "policy", float(known.rating), int(known.games.sum()), int(known.won.sum()), int(known.lost.sum())
         ),
-        Standing("baseline", FIRST_RATING, *results[-1]),
+        Standing("baseline", FIRST_RATING, *results[-2]),
+        Standing("idle", None, *results[-1]),
     ]
     for place in np.flatnonzero(known.since >= 0).tolist():
         name = f"after {known.since[place]}"
         rows.append(Standing(name, float(known.ratings[place]), *results[place], place))
-    return sorted(rows, key=lambda row: -row.rating)
+    return sorted(rows, key=lambda row: -row.rating if row.rating is not None else float("inf"))
 
 
 def write_standings(folder: Path, iteration: int, league: League) -> None:
