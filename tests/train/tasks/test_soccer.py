@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import jax
@@ -243,9 +244,15 @@ def test_the_last_step_takes_back_what_is_left_of_the_gains(view, ball, step):
     assert (float(middle.reward[0][0]) != pytest.approx(-1.25)) == (step == 10)
 
 
-def test_learners_discount_by_what_the_gains_are_discounted_by():
-    for gpu in (False, True):
-        assert task_config("soccer", gpu=gpu).gamma == SHAPED.discount
+def test_learners_that_discount_more_than_the_gains_profit_from_a_ball_that_is_far_ahead():
+    """By the default gamma a w of 1 that stays brings (1 - gamma) sum gamma^t; by the gains' own nothing."""
+    gamma, steps = task_config("soccer", gpu=True).gamma, 100
+    worth = np.ones(steps + 1)
+    gains = np.array([SHAPED.gain(a, b, jnp.bool_(False)) for a, b in pairwise(worth)])
+    ahead = np.array([SHAPED.gain(jnp.float32(0.0), jnp.float32(1.0), jnp.bool_(False)), *gains])
+    kept = (ahead * gamma ** np.arange(steps + 1)).sum() - gamma ** (steps + 1) * 1.0
+    assert gamma < SHAPED.discount == 1.0
+    assert kept == pytest.approx((1 - gamma) * (gamma ** np.arange(steps + 1)).sum(), rel=1e-6)
 
 
 def test_yellow_sees_and_gets_what_blue_would_in_its_place(view):

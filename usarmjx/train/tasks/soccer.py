@@ -258,8 +258,10 @@ class Soccer(Task):
     blue, -`bonus` for one of yellow; of yellow the negative of that. All rewards add up to 0.
 
     With a `discount` the gain is `discount` times the new w, less the old one, and w is 0 once the episode
-    is over. Discounted by that, the gains of any episode add up to -w of its start: they guide learners that
-    discount so, and change nothing about which policy is best (Ng, Harada and Russell 1999).
+    is over. Discounted by that, the gains of any episode add up to -w of its start, so they change nothing
+    about which policy is best by sums so discounted (Ng, Harada and Russell 1999). Version 2 has 1: sums of
+    an episode rank policies by goals alone. Learners that discount more profit from a w that stays high; from
+    those that discount by the same a critic that knows w takes all gains back.
 
     Score: 1 for a goal of blue, -1 for one of yellow, 0 for none. A goal is scored when the whole ball is in
     it; with that the episode ends. A mean of scores is goals less goals against per episode.
