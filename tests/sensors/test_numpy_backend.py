@@ -361,7 +361,8 @@ def test_a_caster_of_ones_own_is_asked_for_the_rays_of_sensors_that_are_due_only
 def test_several_robots_read_and_look_at_once_as_each_would_alone():
     suite = suite_of(EVERYTHING)
     course = course_of(suite)
-    around = around_at(np.float32(TIMES[-1]))
+    with numpy_backend():
+        around = around_at(np.float32(TIMES[-1]))
     slots = np.arange(len(TIMES), dtype=np.int32)
 
     def cast(origin, direction, query, fans):
