@@ -17,7 +17,7 @@ def beginning(scene):
     """World and physics of a scene as they start, made on NumPy: JAX would compile every operation."""
     sites = None if scene.arenas is None else scene.arenas.states
     with numpy_backend():
-        world, qpos = jax.tree.map(jnp.asarray, init_world(scene, random.key(0), np.int32(0), sites))
+        world, qpos = jax.device_put(init_world(scene, random.key(0), np.int32(0), sites))
     world = world.replace(key=jax.random.wrap_key_data(world.key))
     model = scene.model
     return world, PhysicsState(qpos=qpos, qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))

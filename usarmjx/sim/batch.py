@@ -199,7 +199,7 @@ class Batch:
             arenas: Arenas to draw from instead of the scene's, of the same shapes.
         """
         if arenas is None and self.scene.arenas is not None:
-            arenas = jax.tree.map(jnp.asarray, self.scene.arenas.states)
+            arenas = jax.device_put(self.scene.arenas.states)  # `jnp.asarray` compiles for each shape
         keys = self._keys_of(self.origin[0] if seed is None else seed)
         worlds, qpos = self._init(keys, self._numbers, arenas)
         everywhere = jnp.ones(self.worlds, bool)

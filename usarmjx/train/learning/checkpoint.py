@@ -63,8 +63,9 @@ def _as_leaf(leaf: object, array: np.ndarray) -> Array:
     """Return an array as the kind of array that the leaf is."""
     if _is_key(leaf):
         random: Any = jax.random  # jax leaves the result of this without a type
-        return random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
-    return jnp.asarray(array) if isinstance(leaf, jax.Array) else array
+        return random.wrap_key_data(jax.device_put(array), impl=jax.random.key_impl(leaf))
+    # Unlike `jnp.asarray` it compiles no program for each shape.
+    return jax.device_put(array) if isinstance(leaf, jax.Array) else array
 
 
 @contextmanager
