@@ -1,5 +1,6 @@
 """Ablations hide what they name, and compare in the same buildings."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -72,6 +73,7 @@ POSES = jnp.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.5], [6.0, 1.0, 2.0], [4.0, 4.0,
 """The base, and three robots."""
 
 
+@jax.jit
 def observed_goals(untold, heard):
     """Return the robots' observations if they have heard of these others (robots, robots)."""
     belief = initial_belief(GRID, POSES)

@@ -29,7 +29,7 @@ def policy_of(kind, layers=(16, 8, 12)):
     draw = np.random.default_rng(3)
     weights = jax.tree.map(
         lambda leaf: leaf + 0.2 * draw.normal(size=leaf.shape).astype(np.float32),
-        policy.init(jax.random.key(1)),
+        jax.jit(policy.init)(jax.random.key(1)),
     )
     mean = jnp.asarray(0.3 * draw.normal(size=LAYOUT.size), jnp.float32)
     std = jnp.asarray(0.5 + draw.random(LAYOUT.size), jnp.float32)
@@ -47,7 +47,8 @@ def observations(rows):
 
 
 def logits_of(policy, params, obs):
-    out, _ = policy.distribution_params(params, (jnp.asarray(obs),), policy.initial_carry(len(obs)))
+    parameters = jax.jit(policy.distribution_params)
+    out, _ = parameters(params, (jnp.asarray(obs),), policy.initial_carry(len(obs)))
     return np.asarray(out[0])
 
 

@@ -76,8 +76,8 @@ def test_a_teacher_acts_as_the_baseline_does_that_is_advised(name):
     for one, other in zip(given, batch(with_advice), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-7)
     key, teacher, baseline = jax.random.key(0), teacher_of(env), BASELINES.get(name)(open_)
-    _, taught = teacher.act(teacher.initial_carry(1), given, key)
-    _, expected = baseline.act(baseline.initial_carry(1), batch(with_advice), key)
+    _, taught = jax.jit(teacher.act)(teacher.initial_carry(1), given, key)
+    _, expected = jax.jit(baseline.act)(baseline.initial_carry(1), batch(with_advice), key)
     for one, other in zip(taught, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
         assert np.abs(other).max() > 0.1
