@@ -36,8 +36,8 @@ LAMPS = point_lights(
 def lights_of(on):
     """One carried by the robot of the room, which stands in its light, and one in a corner."""
     return Headlights(
-        pos=np.float32([[0.3, 0.0, 0.9], [0.0, 3.0, 0.8]]),
-        direction=np.float32([[1.0, 0.0, 0.0], [0.8, -0.6, 0.0]]),
+        pos=np.array([[0.3, 0.0, 0.9], [0.0, 3.0, 0.8]], np.float32),
+        direction=np.array([[1.0, 0.0, 0.0], [0.8, -0.6, 0.0]], np.float32),
         on=np.array([on, on]),
         label=np.array([ROBOT_LABEL, ROBOT_LABEL + 1]),
     )
@@ -145,8 +145,8 @@ def test_more_threads_than_can_be_numbered_are_refused():
 def test_the_lanes_of_a_gpu_see_together_what_one_does(lit_by, monkeypatch):
     """Bundles of 32 rays with one cone for all, votes and keys exchanged: the code of a GPU on threads."""
     stage, slot = room(*LIGHTS[lit_by]), jnp.int32(0)
-    rays = tuple(x[29 * SIDE : 29 * SIDE + 40 * 32] for x in view())  # tiles about the middle
-    expected = jax.jit(shade)(stage, *rays, slot)
+    start, along = (x[29 * SIDE : 29 * SIDE + 40 * 32] for x in view())  # tiles about the middle
+    expected = jax.jit(shade)(stage, start, along, slot)
     ran = []
 
     def kernel_of(name, outputs):
@@ -164,7 +164,7 @@ def test_the_lanes_of_a_gpu_see_together_what_one_does(lit_by, monkeypatch):
 
     monkeypatch.setattr(shading_warp, "_kernel", kernel_of)
     monkeypatch.setattr(shading_warp, "merge_vmaps", lambda run: run)
-    assert_same(shade_on_warp(stage, *rays, slot), expected)
+    assert_same(shade_on_warp(stage, start, along, slot), expected)
     assert ran == ["shade_rays", "shade_mirrors_and_panes"]
 
 

@@ -142,7 +142,7 @@ def _hazmat(u: float, v: float, number: int, signs: wp.array[float]) -> wp.vec3:
 @wp.func
 def _cell(x: float, cells: int) -> int:
     """Return the cell of a position from -1 to 1."""
-    return wp.clamp(int(wp.floor((x + 1.0) / 2.0 * wp.float32(cells))), 0, cells - 1)
+    return wp.min(wp.max(int(wp.floor((x + 1.0) / 2.0 * wp.float32(cells))), 0), cells - 1)
 
 
 @wp.func
@@ -151,7 +151,7 @@ def _tag(u: float, v: float, number: int, signs: wp.array[float]) -> float:
     row = _cell(-v, TAG_SIDE + 2) - 2
     inside = column >= 0 and column < 4 and row >= 0 and row < 4
     bits = int(signs[CODES * QR_SIDE + number % TAGS])
-    bit = (bits >> wp.clamp(15 - (4 * row + column), 0, 15)) & 1
+    bit = (bits >> wp.min(wp.max(15 - (4 * row + column), 0), 15)) & 1
     rim = column < -1 or column > 4 or row < -1 or row > 4
     return wp.where(rim or (inside and bit == 1), 1.0, BLACK)
 
@@ -161,8 +161,8 @@ def _qr(u: float, v: float, number: int, signs: wp.array[float]) -> float:
     column = _cell(u, QR_SIDE + 2 * QR_RIM) - QR_RIM
     row = _cell(-v, QR_SIDE + 2 * QR_RIM) - QR_RIM
     inside = column >= 0 and column < QR_SIDE and row >= 0 and row < QR_SIDE
-    cells = int(signs[number % CODES * QR_SIDE + wp.clamp(row, 0, QR_SIDE - 1)])
-    dark = ((cells >> wp.clamp(column, 0, QR_SIDE - 1)) & 1) == 1
+    cells = int(signs[number % CODES * QR_SIDE + wp.min(wp.max(row, 0), QR_SIDE - 1)])
+    dark = ((cells >> wp.min(wp.max(column, 0), QR_SIDE - 1)) & 1) == 1
     return wp.where(inside and dark, BLACK, 1.0)
 
 
