@@ -91,11 +91,13 @@ def join_worlds(tree: Tree) -> Tree:
     return jax.tree.map(join, tree)
 
 
+@jax.jit  # one program in place of one for each shape of a leaf
 def stack_seeds(trees: list[Tree]) -> Tree:
     """Return the trees of all seeds as one, with a leading axis over seeds."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
+@jax.jit
 def of_seed(tree: Tree, number: int) -> Tree:
     """Return the part of the seed of an index, of a tree with a leading axis over seeds."""
     return jax.tree.map(lambda leaf: leaf[number], tree)
