@@ -306,7 +306,7 @@ def standings(league: League) -> list[Standing]:
     ]
     for place in np.flatnonzero(known.since >= 0).tolist():
         name = f"after {known.since[place]}"
-        rows.append(Standing(name, float(known.ratings[place]), *results[place], place))
+        rows.append(Standing(name, float(known.ratings[place]), *results[place], place=place))
     return sorted(rows, key=lambda row: -row.rating if row.rating is not None else float("inf"))
 
 
