@@ -1,6 +1,5 @@
 """Surroundings of the sensors besides their robot and ray hits: victims and RFID tags."""
 
-import os
 from types import ModuleType
 
 import jax
@@ -66,7 +65,7 @@ def nearest(distance: Array, count: int) -> Array:
     if on_numpy():
         # Stable, as top_k is: equal distances keep the order of both libraries alike.
         return np.argsort(distance, stable=True)[..., :count]
-    if warp_in_use() and "sort" not in os.environ.get("USARMJX_OLD_RAYS", ""):
+    if warp_in_use():
         from usarmjx.sensors.nearest_warp import MOST, nearest_of_rows
 
         if count <= distance.shape[-1] <= MOST:

@@ -4,7 +4,6 @@ Pure functions of one world. Solids of a robot carry its slot, all others -1. Fo
 too, and the geoms of a robot can be told apart.
 """
 
-import os
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -146,7 +145,7 @@ def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
     Kernels of Warp have what is fixed apart: once for all worlds.
     """
     fixed, others = ([row for row in rows if row.fixed == of_them] for of_them in (True, False))
-    if not (fixed and others and warp_in_use() and "pack" not in os.environ.get("USARMJX_OLD_RAYS", "")):
+    if not (fixed and others and warp_in_use()):
         return _geoms_of(rows)
     parts = [_geoms_of(fixed), _geoms_of(others)]
     names = ("blocks", "kinds", "materials", "compact")

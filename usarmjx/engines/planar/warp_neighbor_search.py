@@ -6,7 +6,6 @@ in tests, the first thread handles the whole world. The steps are those of `neig
 and `solids`, except that robots with valid lists keep them.
 """
 
-import os
 from functools import cache
 from typing import Any
 
@@ -384,8 +383,6 @@ WORLD_CODE = """
 
 def threads_for(robots: int) -> int:
     """Return the threads of a block for a world of so many robots: no warp without a robot."""
-    if "look" in os.environ.get("USARMJX_OLD_RAYS", ""):
-        return THREADS
     return min(32 * robots, THREADS)
 
 

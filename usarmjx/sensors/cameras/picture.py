@@ -1,6 +1,5 @@
 """Pictures of a robot's camera: colours, depths, segmentation, and annotation of each pixel."""
 
-import os
 from functools import partial
 from typing import NamedTuple
 
@@ -21,8 +20,6 @@ from usarmjx.sensors.cameras.shading import RenderScene, Shaded, shade, shadow_g
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.sensors.rays.targets import GeomBlock, concatenated
 
-PICTURES_ON_WARP = os.environ.get("USARMJX_PICTURES", "warp") == "warp"
-"""Whether GPUs shade by kernels of Warp; otherwise by arrays, as before: until both are measured."""
 MAX_SIDE = 4096
 """Largest side of a picture [pixels]."""
 HIDDEN_GEOMS_MULTIPLE = 256
@@ -236,7 +233,7 @@ def _shade_rays(
         for block in render_scene.geoms.blocks
     ]
     visible = render_scene.replace(geoms=render_scene.geoms.replace(blocks=tuple(blocks)))
-    if caster is None and PICTURES_ON_WARP and warp_in_use():
+    if caster is None and warp_in_use():
         from usarmjx.sensors.cameras.shading_warp import shade_on_warp
 
         return shade_on_warp(visible, start, along, slot)

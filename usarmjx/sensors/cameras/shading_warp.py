@@ -4,7 +4,6 @@ What `shading` computes in arrays of all rays, a lane keeps in registers: first 
 Mirrors and panes, which few bundles see, have a kernel of their own.
 """
 
-import os
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -61,8 +60,8 @@ wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 BLOCK_DIM = 64
 """Threads of a block."""
-REGISTERS = int(os.environ.get("USARMJX_PICTURE_REGISTERS", "80"))
-"""Most registers of a thread: until some are measured."""
+REGISTERS = 80
+"""Most registers of a thread: with 64 or 128 an H200 draws 2 and 9 % fewer pictures a second."""
 UNLIMITED = wp.constant(UNLIMITED_DISTANCE)
 SKY = wp.constant(float(SKY_LABEL))
 SKY_RGB = wp.constant(wp.vec3(*(float(x) for x in shading.SKY_RGB)))

@@ -5,7 +5,6 @@ ray against one geom after the other, the nearest first, until the next is farth
 On a CPU, in tests, each thread is a bundle of one ray.
 """
 
-import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -25,8 +24,6 @@ WARP_SIZE = wp.constant(32)
 """Lanes of a warp."""
 KEYS_PER_LANE = 4
 """Geoms whose distances a lane holds during a pass."""
-WHOLE_PASSES = wp.constant(os.environ.get("USARMJX_RAY_PASSES", "whole") == "whole")
-"""Whether a pass looks at keys beyond the last geom: until both are measured."""
 SLOT_BITS = wp.constant(wp.uint32(255))
 """Last bits of a key: index of the geom in the pass. The first bits sort like the distance."""
 LAST_KEY = wp.constant(wp.uint32(0xFFFFFFFF))
@@ -369,18 +366,14 @@ def nearest_geom(  # noqa: PLR0913 - a struct of them would do no more
         if begin < wide:
             # Lanes past the end load the last geom; `_key` leaves it out by its slot.
             for k in range(KEYS_PER_LANE):
-                keys[k] = LAST_KEY
-                if WHOLE_PASSES or begin + k * width < end:
-                    slot = k * width + lane
-                    at = geom_of(world, wp.min(begin + slot, end - 1))
-                    keys[k] = box_key(at, cone, exclude, slot, end - begin)
+                slot = k * width + lane
+                at = geom_of(world, wp.min(begin + slot, end - 1))
+                keys[k] = box_key(at, cone, exclude, slot, end - begin)
         else:
             for k in range(KEYS_PER_LANE):
-                keys[k] = LAST_KEY
-                if WHOLE_PASSES or begin + k * width < end:
-                    slot = k * width + lane
-                    at = geom_of(world, wp.min(begin + slot, end - 1))
-                    keys[k] = _sphere_key(at, cone, exclude, slot, end - begin)
+                slot = k * width + lane
+                at = geom_of(world, wp.min(begin + slot, end - 1))
+                keys[k] = _sphere_key(at, cone, exclude, slot, end - begin)
         key = _first_key(keys)
         # All lanes stay in the loop until none needs the next geom: the shuffles need the whole warp.
         while key < BEYOND and any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):

@@ -1,6 +1,5 @@
 """Launches of the ray kernels on Warp: which kernel casts which rays, in how many threads."""
 
-import os
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -17,8 +16,6 @@ from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast_warp import MAX_BUNDLE, apart
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, merge_vmaps
 
-OLD = set(os.environ.get("USARMJX_OLD_RAYS", "").split(","))
-"""Parts that are as they were, to compare: fans, tags."""
 BLOCK_DIM = 64
 """Threads of a block."""
 MAX_THREADS = 2**31 - 1
@@ -49,7 +46,7 @@ def _bundle_of(size: int) -> int:
 def _launch_of_rays(count: int, bundle_size: int, numbers: Sequence[float]) -> _Launch:
     """Return how single rays are cast; numbers are those of `nearest_of_bundles`."""
     *geoms, reach = numbers
-    if bundle_size == 1 and "tags" not in OLD:
+    if bundle_size == 1:
         return _Launch("cast_single_rays", 1, [*geoms, count, reach])
     size = _bundle_of(bundle_size)
     bundles = -(-count // size)
@@ -62,7 +59,7 @@ def finds_first_only(
     """Return whether of fans (fans, rays, 3) only hits are found that `least_cosines` let count."""
     geoms = sum(info.num_geoms for info, _ in work)
     fits = geoms <= first_of_fans_warp.MOST_GEOMS and directions.shape[1] <= MAX_BUNDLE
-    return bool(least_cosines) and fits and "fans" not in OLD
+    return bool(least_cosines) and fits
 
 
 def _launch_of_fans(
