@@ -70,7 +70,7 @@ NIGHT_RGB = wp.constant(wp.vec3(*(float(x) for x in shading.NIGHT_RGB)))
 
 @wp.struct
 class WarpShaded:
-    """What a lane's ray sees.
+    """Hit of a lane's ray, and its surface.
 
     Attributes:
         rgb: Colour, that of the sky without a hit.

@@ -27,7 +27,7 @@ def xyz(row: wp.vec4) -> wp.vec3:
 
 @wp.struct
 class WarpScene:
-    """What the rays of a picture may see, as `shading_warp.packed_scene` and `packed_lights` lay it out.
+    """Geoms and lights of a picture, as `shading_warp.packed_scene` and `packed_lights` lay them out.
 
     Attributes:
         geoms: Geoms and colours of all worlds.
