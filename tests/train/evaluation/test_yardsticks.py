@@ -77,7 +77,7 @@ def test_teams_are_the_task_with_a_robot_or_a_radio_of_another_kind():
 def test_teams_without_a_policy_of_ones_own_are_those_that_can_play():
     assert default_teams("explore-v2") == tuple(TEAMS)
     assert default_teams("victim-search-v2") == tuple(TEAMS)
-    assert default_teams("soccer") == tuple(name for name in TEAMS if name != "packaged")
+    assert default_teams("soccer-v1") == tuple(name for name in TEAMS if name != "packaged")
     assert find_team("one") is TEAMS["one"]
     change, _ = find_team("explore-v1")  # a packaged policy, by its own name
     task = make_task("explore-v2")
