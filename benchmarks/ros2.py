@@ -82,7 +82,7 @@ def read_topics(kind: str, endpoint: str, seconds: float) -> None:
     transport.close()
 
 
-async def _serve(server: BotServer, robots: int, work: Callable[[], Any]) -> Any:  # noqa: ANN401
+async def serve_robots(server: BotServer, robots: int, work: Callable[[], Any]) -> Any:  # noqa: ANN401
     """Serve a world with robots while some work is done in a thread; return its result."""
     loop = ServerLoop([server], 1.0)
     running = asyncio.create_task(loop.run())
@@ -99,6 +99,16 @@ async def _serve(server: BotServer, robots: int, work: Callable[[], Any]) -> Any
     finally:
         loop.stop()
         await running
+
+
+def topics_without_pictures(world: DynamicWorld) -> list[tuple[str, str]]:
+    """Return name and type of each topic that a world publishes, but for pictures."""
+    listed = WorldTopics(world, (320, 240)).all().values()
+    return [
+        (one.name, one.type)
+        for one in listed
+        if not one.is_listened_to and one.type not in (IMAGE, RAW_IMAGE)
+    ]
 
 
 def measure(kind: str, robots: int, seconds: float, *, reads: bool) -> dict[str, Any]:
@@ -118,12 +128,7 @@ def measure(kind: str, robots: int, seconds: float, *, reads: bool) -> dict[str,
         found: dict[str, Any] = {}
         process = None
         if reads:
-            listed = WorldTopics(world, (320, 240)).all().values()
-            topics = [
-                (one.name, one.type)
-                for one in listed
-                if not one.is_listened_to and one.type not in (IMAGE, RAW_IMAGE)
-            ]
+            topics = topics_without_pictures(world)
             words = [sys.executable, "-m", "benchmarks.ros2", "--read", kind, endpoint, str(seconds)]
             process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
             assert process.stdin is not None
@@ -142,7 +147,7 @@ def measure(kind: str, robots: int, seconds: float, *, reads: bool) -> dict[str,
             found["sent"] = service.counts.sent
         return found
 
-    return asyncio.run(_serve(server, robots, work))
+    return asyncio.run(serve_robots(server, robots, work))
 
 
 def run(robots: int, seconds: float, repeats: int, options: BaselineOptions) -> str:
@@ -161,7 +166,7 @@ def run(robots: int, seconds: float, repeats: int, options: BaselineOptions) -> 
             print(name, json.dumps(rows[name][-1]), flush=True)
 
     def record() -> dict[str, Any]:
-        costs = {name: _speeds(found) for name, found in rows.items()}
+        costs = {name: speeds_of(found) for name, found in rows.items()}
         return {
             "case": {
                 "robots": robots,
@@ -176,14 +181,16 @@ def run(robots: int, seconds: float, repeats: int, options: BaselineOptions) -> 
             "rows": rows,
         }
 
-    return run_case("ros2", options, record, _summary, host=True)
+    return run_case("ros2", options, record, summary_of, host=True)
 
 
-def _speeds(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def speeds_of(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return how much time is simulated by a second of processor time, over the repeats of a case."""
     return spread_of("simulated-s/CPU s", [1.0 / one["cpu_per_simulated_s"] for one in found])
 
 
-def _summary(record: Mapping[str, Any]) -> str:
+def summary_of(record: Mapping[str, Any]) -> str:
+    """Return the costs and rates of all cases as lines for people."""
     lines = [f"{record['case']['robots']} P2AT, CPU s per simulated s:"]
     for name, found in record["rows"].items():
         costs = [one["cpu_per_simulated_s"] for one in found]
