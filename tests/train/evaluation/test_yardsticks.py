@@ -182,4 +182,4 @@ def test_what_has_no_parts_or_no_policy_is_refused():
     with pytest.raises(UsageError, match="drive-to-goal is no task for a team: its score has no parts"):
         measure_teams("drive-to-goal", 1)
     with pytest.raises(UsageError, match="no policy is packaged for soccer-v1; known: drive-to-goal"):
-        packaged_policy(SimpleNamespace(name="soccer"))
+        packaged_policy(SimpleNamespace(name="soccer-v1"))

@@ -39,16 +39,16 @@ RESULTS = ("games", "won", "lost")
 class League(PyTreeNode, kw_only=True):
     """Past selves of a policy, and its results against them.
 
-    Players are numbered: the places of past selves, then the baseline, idle rivals, and the policy itself.
+    Players are numbered: the places of past selves, then the baseline and idle rivals (rivals in all), and the policy.
 
     Attributes:
         pool: Policies of the past selves (size, ...).
         since: Iteration after which each joined (size,); -1: the place is free.
         ratings: Their ratings (size,).
         rating: That of the policy ().
-        games: Games of the policy against each of them, the baseline, and idle rivals (size + 2,).
-        won: Those it won (size + 2,).
-        lost: Those it lost (size + 2,).
+        games: Games of the policy against each of them, the baseline, and idle rivals (rivals,).
+        won: Those it won (rivals,).
+        lost: Those it lost (rivals,).
     """
 
     pool: PolicyParams

@@ -155,4 +155,4 @@ def beam_points(scanner: ScannerSettings, pose: Array, ranges: jax.Array) -> jax
     """Return where beams end, in the axes of their scanner's pose (3,) [m] (beams, 2); none: far away."""
     angle = pose[2] + scanner.resolution * np.arange(scanner.beams) - scanner.scan_fov / 2
     reach = jnp.where(ranges < scanner.max_range - CLOSE, ranges, FAR)
-    return pose[:2] + reach[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    return jnp.asarray(pose)[:2] + reach[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)

@@ -458,8 +458,8 @@ class TeamTask(Task):
         slots, scan = members.slots, scan_of(view, group, belief.pose[members.slots])
         at = scanner_poses(members, jnp.zeros((len(slots), 3)))
         outlines = np.zeros((scene.num_robots, 8, 2), np.float32)
-        for one in scene.groups:
-            outlines[one.slots] = safety.outline(*safety.box_of(one.robot))
+        for each in scene.groups:
+            outlines[each.slots] = safety.outline(*safety.box_of(each.robot))
         other = np.arange(scene.num_robots) != slots[:, None]
         age = jnp.where(other, view.time - belief.heard_time[slots], jnp.inf)
 
