@@ -39,7 +39,8 @@ RESULTS = ("games", "won", "lost")
 class League(PyTreeNode, kw_only=True):
     """Past selves of a policy, and its results against them.
 
-    Players are numbered: the places of past selves, then the baseline and idle rivals (rivals in all), and the policy.
+    Players are numbered: the places of past selves, then the baseline and idle rivals (`rivals` in all), and
+    the policy.
 
     Attributes:
         pool: Policies of the past selves (size, ...).
