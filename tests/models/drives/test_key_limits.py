@@ -34,7 +34,7 @@ def told(robot, values):
 
 def test_every_kind_of_drive_with_several_keys_has_cases():
     kinds = {type(robot.drive).__name__ for _, robot in ROBOTS if len(robot.drive.keys) > 1}
-    assert {type(case.values[0].drive).__name__ for case in CASES} == kinds
+    assert {type(robot.drive).__name__ for _, robot in ROBOTS if key_sets(robot.drive)} == kinds
     assert {"SkidSteer", "Ackermann", "OmniDrive", "RotaryWing", "Underwater", "Blimp"} <= kinds
 
 
@@ -47,7 +47,7 @@ def test_a_key_told_too_much_is_as_if_told_its_largest_value(robot, keys, key, s
     np.testing.assert_array_equal(wild, told(robot, {key: sign * keys[key], **others}))
     if keys == robot.drive.full_scale:
         rest = [robot.drive.keys.index(other) for other in others]
-        np.testing.assert_array_equal(wild[rest], np.float32(list(others.values())))
+        np.testing.assert_array_equal(wild[rest], np.array([*others.values()], np.float32))
 
 
 @pytest.mark.parametrize(("robot", "keys", "key"), CASES)
