@@ -85,6 +85,7 @@ def start_episode(
     alive = None if presence is None else alive_agents(task, view, presence)
     obs, privileged = _observe(task, view, memory, alive)
     unsound = jnp.stack([~jnp.isfinite(one).all() for one in (*obs, privileged)]).any()
+    # Counted, not raised: a compiled program cannot raise, and the other worlds are sound.
     world = world.replace(faults=world.faults.replace(task=world.faults.task + unsound))
     obs, privileged = jax.tree.map(finite_or_zero, (obs, privileged))
     zero = jnp.zeros((), jnp.int32)
@@ -123,6 +124,7 @@ def apply_policy_actions(
 
 def _bounded(actions: tuple[Array, ...], alive: tuple[jax.Array, ...] | None) -> tuple[jax.Array, ...]:
     """Return finite actions from -1 to 1, 0 for agents that are not alive."""
+    # NaN first: clip passes it on.
     return masked(alive, tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions))
 
 
@@ -153,6 +155,7 @@ def evaluate_step(
         all.
     """
     now = worlds.faults
+    # Counts, compared with those before: a flag would stay up after the fault.
     bad = (now.not_finite > before.not_finite) | (now.overflow > before.overflow)
     worlds, views = jax.vmap(partial(make_view, scene))(worlds, physics)
     with jax.named_scope("task.evaluate"):
@@ -161,12 +164,14 @@ def evaluate_step(
     obs, privileged = jax.vmap(partial(_observe, task))(views, result.memory, alive)
     # A task's own NaN would spread from a learner's weights to everything.
     unsound = ~all_finite((*result.reward, result.score, *obs, privileged))
+    # Blamed on the task only where the physics was sound: NaN there spreads into every reward.
     worlds = worlds.replace(faults=worlds.faults.replace(task=worlds.faults.task + (unsound & ~bad)))
     bad |= unsound
     obs, privileged = jax.tree.map(finite_or_zero, (obs, privileged))
     length = state.length + 1
     terminated, late = result.terminated & ~bad, length >= task.episode_steps
     done = terminated | late | bad
+    # A bad step's score is not known: the last good one stands.
     score = jnp.where(bad, state.score, result.score)
     metrics = result.metrics if alive is None else {**result.metrics, ALIVE: share_alive(alive)}
     after = state.replace(

@@ -14,6 +14,7 @@ HASH_LENGTH = 12
 
 def building_hash(arena: ArenaSpec) -> str:
     """Return a hash of an arena's contents: walls, victims, starts, all but its name and description."""
+    # Names carry the seed and the level: two buildings with other names may have the same walls.
     text = repr(replace(arena, name="", about=""))
     return hashlib.sha256(text.encode()).hexdigest()[:HASH_LENGTH]
 
@@ -96,6 +97,7 @@ def training_note(name: str, recipe: object, played: Iterable[str]) -> str:
     """
     if not isinstance(recipe, GeneratedArenas):
         return ""
+    # A dictionary keeps the order, so the same buildings always give the same note.
     there = list(dict.fromkeys(played))
     # Only buildings of one kind and size can be the same: others need no building of the training.
     forms = {_form(recipe.kind, size) for size in (*getattr(recipe, "sizes", ()), recipe.size)}

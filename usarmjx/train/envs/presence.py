@@ -58,6 +58,7 @@ def begin_team(scene: Scene, task: "Task", world: World, qpos: jax.Array) -> tup
         return world, qpos
     parts = list[Part]()
     for group in scene.groups:
+        # The pose of the model itself, far from the arena, where parked robots wait.
         waiting = np.asarray(scene.model.qpos0[group.root_qposadr], np.float32)
         rows = jnp.where(present[group.slots][:, None], qpos[group.root_qposadr], waiting)
         parts.append((group.root_qposadr, rows))
@@ -96,6 +97,7 @@ def carry_of_alive(carry: Any, *alive: tuple[Any, ...] | None) -> Any:  # noqa: 
         alive: Masks before and after an action, per group (worlds, robots); None: all are.
     """
     masks = [one for one in alive if one is not None]
+    # A user's carry may have any form: what is not one part for each group is left alone.
     if len(masks) < len(alive) or not isinstance(carry, tuple):
         return carry
     keep = [jnp.asarray(before) & after for before, after in zip(*masks, strict=True)]
@@ -153,6 +155,7 @@ def regroup(
     for group, state in zip(scene.groups, world.groups, strict=True):
         mine = joined[group.slots]
         since = jnp.full(len(group.slots), world.step)
+        # Of all robots of the group: shapes must not depend on who joins.
         fresh = new_group_state(scene, group, True, since)
         fresh = start_sensors(scene, world, physics, group, fresh)
         state = jax.tree.map(partial(_where, mine), fresh, state)
@@ -169,6 +172,7 @@ def regroup(
 
 def _where(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
     old = jnp.asarray(old)
+    # The old type stays: a Python number in a fresh state would change it, and compile anew.
     return jnp.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old).astype(old.dtype)
 
 
@@ -191,12 +195,14 @@ def drawn_team(scene: Scene, agents: np.ndarray, least: int, key: jax.Array) -> 
     size, order = jax.random.split(key)
     number = jax.random.randint(size, (), least, len(agents) + 1)
     place = jax.random.permutation(order, jnp.arange(len(agents)))
+    # By a permutation, not by a draw for each: the number is uniform, and each team of a size equally likely.
     return everybody.at[agents].set(place < number)
 
 
 def arrival_actions(scene: Scene, agents: np.ndarray, interval: float, period: float) -> np.ndarray:
     """Return the actions after which robots arrive, by slot (robots,): one robot each interval [s]."""
     actions = np.zeros(scene.num_robots, int)
+    # The margin keeps a quotient such as 3.0000000004 from being rounded up to 4.
     actions[agents] = np.ceil(np.arange(len(agents)) * interval / period - 1e-6)
     return actions
 
@@ -220,8 +226,10 @@ def remaining_robots(
     arrives = team & (arrivals > 0) & (action == arrivals)
     present = in_use(scene, world) | arrives
     if loss_rate > 0:
+        # A rate per second as a share per action: exponential lifetimes, whatever the length of an action.
         share = 1.0 - math.exp(-loss_rate * repeat * scene.physics.period)
         drawn = jax.random.uniform(jax.random.fold_in(view.key, LOSS_KEY), (scene.num_robots,)) < share
+        # Nobody is lost at the very start, or with the action in which it arrives.
         may = jnp.zeros(scene.num_robots, bool).at[agents].set(True) & (action > 0) & ~arrives
         present &= ~(drawn & may)
     awake = [

@@ -63,6 +63,8 @@ class Split:
         if self.drawn:
             drawn = np.random.SeedSequence(seed).generate_state(count, np.uint32).astype(np.int64)
             kept = (drawn >= HELD_OUT_START) & (drawn < HELD_OUT_END)
+            # Shifted below the held-out range, not drawn again: the count of draws, and so all others, stay
+            # the same.
             return np.where(kept, drawn - (HELD_OUT_END - HELD_OUT_START), drawn)
         if count > self.end - self.start:
             raise UsageError(f"{count} arenas of a held-out split, which has {self.end - self.start}")
@@ -89,6 +91,7 @@ def split_of(name: str) -> str | None:
     if seed is None:
         return None
     held = (name for name, split in SPLITS if name != TRAIN and split.start <= seed < split.end)
+    # Every seed that no other split has is one of training: the draw shifts, so there is no gap.
     return next(held, TRAIN)
 
 
@@ -234,6 +237,7 @@ class GeneratedArenas:
             level: From 0 to 1 ().
         """
         slots = jnp.arange(self.total)
+        # At least the easiest level, also below its own difficulty.
         there = self.count * jnp.maximum((jnp.array(self.levels) <= level + LEVEL_ATOL).sum(), 1)
         rest = len(slots) % there  # slots beyond the last whole round, which go to arenas of all levels alike
         spread = (slots - (len(slots) - rest)) * there // jnp.maximum(rest, 1)
@@ -256,6 +260,7 @@ def open_floor(side: float = FLOOR_SIDE, starts: int = FLOOR_STARTS, seed: int =
     for _ in range(starts):
         position = np.zeros(2)
         for _ in range(TRIES):
+            # Rounded as arena files are written, so a file that is read back is the same floor.
             position = draw.uniform(-side / 2, side / 2, 2).round(3)
             if all(np.hypot(*(position - other)) >= MIN_START_DISTANCE for other in positions):
                 break

@@ -105,6 +105,7 @@ def read_part(folder: Path, name: str, template: Tree, index: int = 0) -> Tree:
             f"checkpoint {folder} is broken: {path.name} does not read; delete it: {error}"
         ) from error
     there, wanted = _specs(found), _specs(_arrays(template))
+    # Lists, not sets: below, leaves and arrays are paired by position.
     if there != wanted:
         raise UsageError(f"checkpoint {folder} is of another run: {_first_difference(there, wanted)}")
     leaves, shape = jax.tree.flatten(template)
@@ -138,6 +139,8 @@ class Checkpoints:
 
     def all(self) -> list[Path]:
         """Return all that are whole, the oldest first."""
+        # Names are padded with zeros, so their order is that of the iterations; partial folders are not
+        # decimal.
         return sorted(p for p in self.folder.glob("*") if p.name.isdecimal() and p.is_dir())
 
     def find(self, which: str = "last") -> Path:
@@ -186,6 +189,7 @@ class Checkpoints:
         meta = self.meta(path)
         score = meta["score"]
         # Early checkpoints have no kind.
+        # Of equal scores the later one wins, by its name.
         return meta.get("kind") == FULL, float("-inf") if score is None else score, path.name
 
     def describe(self, which: str) -> str:
@@ -246,6 +250,8 @@ class Checkpoints:
             partial(self._finish, fresh, meta, process_group, keep),
         )
         try:
+            # Each step ends in a barrier: nobody writes into a folder that is not made, and the rename waits
+            # for all.
             for step in steps:
                 self._in_all_processes(path, step, process_group)
         except WriteError:
@@ -289,6 +295,7 @@ class Checkpoints:
         """Delete all but the latest ones, as many as are to be kept, and the best one."""
         paths = self.all()
         kept = {*paths[-keep:], max(paths, key=self._rank)}
+        # Partial folders here are remains of a process that was killed: nobody writes one at this time.
         for path in (*(p for p in paths if p not in kept), *self.folder.glob(f"*{PARTIAL_MARK}")):
             _delete(path)
 

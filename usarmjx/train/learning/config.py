@@ -178,6 +178,7 @@ def horizon_of(episode_steps: int) -> dict[str, float]:
     episode ahead before it trusts the critic.
     """
     gamma = 1.0 - 1.0 / max(episode_steps, 2)
+    # GAE decays by gamma times lambda: the division leaves the product at 1 - 10 / steps.
     return {"gamma": gamma, "gae_lambda": max(0.0, 1.0 - 10.0 / max(episode_steps, 10)) / gamma}
 
 
@@ -359,6 +360,7 @@ def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # 
     given = default_reader().values(Config, settings)
     name = newest_name(task).lower()
     own = {**HYPERPARAMETERS.get(name, {}), **(GPU_SETTINGS.get(name, {}) if gpu else {})}
+    # A task without settings of its own keeps the defaults of `Config`, which the help shows.
     if own and "gamma" not in own:
         own |= horizon_of(TASKS.get(task).episode_steps)
     chosen: dict[str, Any] = {**own, **given}
@@ -460,6 +462,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - anything that JSON can hold
     if isinstance(value, tuple):
         items = cast(tuple[Any, ...], value)
         value = [asdict(one) if isinstance(one, AgentGroup) else one for one in items]
+    # The old record came through JSON, where tuples are lists and keys are text.
     return json.loads(json.dumps(value))
 
 

@@ -141,6 +141,7 @@ def check_source(checkpoints: Checkpoints, record: RunRecord, source: TrainedNet
     Raises:
         UsageError: Says what to do.
     """
+    # A resumed run would silently go on from its own checkpoint, not from the source.
     if source is not None and checkpoints.all():
         raise UsageError(f"{checkpoints.run} has checkpoints already: choose another folder")
     if source is None and record.began_with is not None and not checkpoints.all():

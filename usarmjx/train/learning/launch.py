@@ -50,6 +50,7 @@ def process_info(environment: Mapping[str, str]) -> ProcessInfo | None:
     """Return this process among several, by the environment variables; None: the only one."""
     for name, count, index, local in LAUNCHERS:
         number = environment.get(count, "")
+        # Launchers set these for a single process, too, which must not wait for a coordinator.
         if index in environment and number.isdecimal() and int(number) > 1:
             address = environment.get(COORDINATOR, "")
             if name == "torchrun":
@@ -89,6 +90,7 @@ def spawn(processes: int, command: Sequence[str]) -> int:
 
 def _wait(running: list[subprocess.Popen[bytes]]) -> int:
     while True:
+        # None, of a process that still runs, is neither a fault nor an end.
         codes = [process.poll() for process in running]
         bad = [code for code in codes if code]
         if bad or all(code == 0 for code in codes):
@@ -100,6 +102,7 @@ def _end(running: list[subprocess.Popen[bytes]], timeout: float = 5.0) -> None:
     for process in running:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
+    # One deadline for all: each process with a time of its own would add them up.
     until = time.monotonic() + timeout
     for process in running:
         try:

@@ -115,6 +115,7 @@ def draw_opponents(league: League, mix: tuple[float, ...], keys: jax.Array) -> j
         past = jax.random.categorical(one, jnp.where(there, 0.0, -1e9))
         past_selves = jnp.where(there.any(), jnp.stack([best, past]).astype(jnp.int32), itself)
         players = jnp.concatenate([jnp.stack([idle, by_hand, itself]), past_selves])
+        # The small number keeps a share of 0 from being the logarithm of 0.
         return players[jax.random.categorical(kind, jnp.log(jnp.asarray(mix) + 1e-12))]
 
     return jax.vmap(draw)(keys)
@@ -140,6 +141,7 @@ class Rivals:
             raise UsageError(
                 f"league is {config.league}, but in {env.name} no agents play against others: set league=0"
             )
+        # Shapes only: the baseline's carry is not computed, and no device is touched.
         if jax.tree.leaves(jax.eval_shape(lambda: baseline.initial_carry(1))):
             raise UsageError(f"league is {config.league}, but the baseline of {env.name} has a memory")
         self.rows = np.array(rows)
@@ -185,9 +187,11 @@ class Rivals:
 
         # All past selves look at all worlds, which costs less than weights for each world.
         past = jax.vmap(sampled)(league.pool)
+        # Baseline, idle rivals and the policy itself are beyond the pool; their rows are replaced below.
         place = jnp.minimum(match.opponent, league.size - 1)
         theirs = past[place, jnp.arange(len(place))]
         by_hand = self._baseline.act((), (seen,), key)[1][0]
+        # The trajectory holds actions before tanh; its inverse is infinite at 1, hence the limit.
         by_hand = jnp.arctanh(jnp.clip(by_hand, -LARGEST_ACTION, LARGEST_ACTION))
         who = match.opponent[:, None, None]
         chosen = jnp.where(who == league.size, by_hand, jnp.where(who == league.size + 1, 0.0, theirs))
@@ -235,6 +239,7 @@ def update_league(
     games, won, lost = (
         jnp.stack([sums[f"league/{name}/{player}"] for player in range(league.size + 2)]) for name in RESULTS
     )
+    # NaN without such a game; `metrics.summary` turns it into none.
     idle = won[-1] / games[-1]
     totals = {
         name: getattr(league, name) + one for name, one in zip(RESULTS, (games, won, lost), strict=True)

@@ -95,8 +95,10 @@ class ArenaStream:
         )  # environments of one's own need it not
         self._last = (iterations - 1) // self.interval if self.interval else 0
         self._requests: dict[int, Future[ArenaState]] = {}
+        # Without a later generation processes would start only to be ended.
         self._workers = WorkerProcesses(workers, [Buildings.__module__]) if workers and self._last else None
         self._pool = ThreadPoolExecutor(1, "arenas")
+        # The thread would otherwise keep generating for a trainer that is dropped.
         finalize(self, self._pool.shutdown, wait=False, cancel_futures=True)
 
     def is_refresh(self, iteration: int) -> bool:
@@ -108,6 +110,7 @@ class ArenaStream:
         if not self.interval:
             return None
         generation = iteration // self.interval
+        # Arenas of past generations hold large arrays that no iteration reads again.
         self._requests = {number: made for number, made in self._requests.items() if number >= generation}
         present = self._request(generation) if generation else None
         ahead = GENERATIONS_AHEAD if self._workers else 1
@@ -190,6 +193,7 @@ class Trainer:
             compile_program(self._update_shards, self._program_cache, "Trainer", precise=False)
         )
         keys = [self._stream_key(stream) for stream in (ROLLOUT_STREAM, UPDATE_STREAM)]
+        # The update's key travels as its data: global arrays are made of plain ones, not of typed keys.
         self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
         self._stream = process_group.to_global(updates, None)
         self._fold: Callable[..., jax.Array] = jax.jit(jax.random.fold_in)
@@ -284,6 +288,7 @@ class Trainer:
             if self.config.curriculum or self.stream.is_refresh(iteration):
                 state = self.env.at_level(worlds.env_state, self.level(iteration), arenas)
                 worlds = worlds.replace(env_state=self.process_group.device_put(state))
+        # By number, not split in sequence: a resumed run draws the same.
         key = self._fold(self._key, iteration)
         begun = worlds.env_state
         worlds, trajectory, ends, sums = self.rollout.collect(train_state, worlds, key)

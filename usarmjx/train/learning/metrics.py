@@ -99,6 +99,7 @@ def summary(sums: dict[str, float], world_steps: int) -> dict[str, float | None]
             record[name] = value / world_steps
         elif name.startswith(("loss/", "league/")):
             record[name] = value
+    # JSON has neither NaN nor infinity, and strict readers refuse the words that Python writes.
     return {key: None if one is None or not math.isfinite(one) else one for key, one in record.items()}
 
 
@@ -154,6 +155,7 @@ class MetricsLog:
         records = read_lines(file)
         kept = [record for record in records if record["iteration"] <= after]
         earlier = _kept_aside(file) if records and not kept else None
+        # Rewritten whole: iterations after the checkpoint are made again, and would stand there twice.
         with atomic_write(file) as fresh:
             fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
         behind = kept[-1]["agent_steps"] if kept else 0

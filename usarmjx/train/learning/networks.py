@@ -107,6 +107,7 @@ def update_statistics(statistics: Statistics, values: jax.Array, valid: jax.Arra
     with extra("train"):
         from brax.training.acme import running_statistics
     before, library = statistics.running, cast(Any, running_statistics)
+    # Brax's functions want a state of its own class; only its fields are kept here.
     fresh = library.init_state(before.mean)
     state = fresh.replace(
         mean=before.mean,
@@ -227,6 +228,7 @@ class SetNetwork(nn.Module):
             own = own + dense(width, "view", bias=False)(self._view(seen))
         kinds = param(self, "kinds", nn.initializers.normal(0.1), (max(layout.kinds) + 1, width))
         choices = dense(width, "choices")(choices) + kinds[np.array(layout.kinds)]
+        # Tokens in this order: the robot, the others, the choices; `presence_of` and the head rely on it.
         x = nn.elu(jnp.concatenate([own[..., None, :], dense(width, "others")(others), choices], -2))
         there = presence_of(layout, seen)
         for i, size in enumerate(self.layers[1:], start=1):
@@ -279,6 +281,7 @@ def shared_scale(layout: ObservationLayout, mean: jax.Array, std: jax.Array) -> 
     for span in layout.sets:
         there = slice(span.first, span.end)
         own, spread = (one[there].reshape(span.rows, span.numbers) for one in (mean, square))
+        # Variance of a mixture: mean of the variances plus variance of the means.
         common = spread.mean(0) + own.var(0)
         mean = mean.at[there].set(jnp.tile(own.mean(0), span.rows))
         square = square.at[there].set(jnp.tile(common, span.rows))
@@ -371,6 +374,7 @@ def _recur_sequentially(
         reset, update, new = jnp.split(gates, 3, axis=-1)
         own_reset, own_update, own_new = jnp.split(before @ weights, 3, axis=-1)
         update = jax.nn.sigmoid(update + own_update)
+        # The variant of cuDNN and PyTorch: the reset gate scales the product, not the carry before it.
         new = jnp.tanh(new + jax.nn.sigmoid(reset + own_reset) * (own_new + bias))
         after = (1.0 - update) * new + update * before
         return after, after
@@ -407,6 +411,7 @@ def _gradients_sequentially(
 
     def step(next_gradient: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         gradient, own, update, is_first = now
+        # The output's gradient and what flows back from the next step meet in the carry.
         gradient = gradient + next_gradient
         return _reset(is_first, (jnp.tile(gradient, 3) * own) @ weights.T + gradient * update), gradient
 
@@ -433,6 +438,7 @@ def _backward(residuals: Residuals, gradients: jax.Array) -> tuple[Any, ...]:
         jnp.tensordot(before, by_own, ((0, 1, 2), (0, 1, 2))),
         by_new.sum((0, 1, 2)),
         start,
+        # is_first is boolean, and has no gradient.
         None,
     )
 
@@ -637,8 +643,10 @@ class LearnedPolicy:
         found: list[tuple[jax.Array, jax.Array]] = []
         for g, seen in enumerate(obs):
             x = self.normalised(g, params.mean[g], params.std[g], seen)[None]
+            # The caller resets the carry between steps, so within this one-step sequence nothing begins.
             is_first = jnp.zeros((1, len(seen)), bool)
             out, after = apply_network(self.network(g), params.weights[g], x, None, carry[g], is_first)
+            # Masks read the observations as they came: normalised, the marks would not be 0 or 1.
             found.append((self.masked(g, out[0], seen), after))
         return tuple(out for out, _ in found), tuple(after for _, after in found)
 
@@ -675,6 +683,7 @@ class LearnedPolicy:
         if key is None or deterministic:
             return tuple(self.mode(g, one) for g, one in enumerate(logits)), carry
         kinds = [self.distribution(g) for g in range(len(self.groups))]
+        # A key for each world: its draws depend neither on the number of worlds nor on the process it is in.
         keys = fold_each(key, jnp.arange(len(obs[0])))
         raw = sample_actions(self, logits, keys)
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), carry

@@ -81,6 +81,7 @@ def teacher_of(env: Env, name: str = BASELINE) -> Policy:
         )
     task: Task | None = getattr(env, "task", None)  # environments of one's own need none
     if task is not None and task.for_baseline is not task:
+        # A shallow copy: the policy's environment keeps its own task, all arrays are shared.
         env = copy(env)
         env.task = task.for_baseline
     return BASELINES.get(env.name)(env)
@@ -135,6 +136,7 @@ def imitation_loss(
     """
     if isinstance(kind, ChoiceDistribution):
         return -kind.log_prob(logits, teacher_action)
+    # A baseline may command beyond the limits, which no squashed action can reach.
     error = kind.mode(logits) - jnp.clip(teacher_action, -1.0, 1.0)
     std_error = kind.create_dist(logits).scale - deviation
     return 0.5 * (error**2 + std_error**2).sum(-1)
@@ -162,6 +164,7 @@ def advantages(
         gae_lambda: Lambda: weight of later temporal-difference errors.
     """
     done, truncated, bad = ends
+    # The value of the state after a step is that before the next one, so the critic runs once per step.
     next_value = jnp.concatenate([value[1:], last_value[None]])
     next_value = jnp.where(done, jnp.where(truncated, bootstrap, 0.0), next_value)
     # A bad step teaches nothing: its error is 0, and no later error flows back across it.
@@ -215,6 +218,7 @@ def _total(values: jax.Array) -> jax.Array:
 
 def surrogate(log_prob: jax.Array, old: jax.Array, advantage: jax.Array, clip: float) -> jax.Array:
     """Return the clipped surrogate objective of actions, which an update maximises."""
+    # Cut before the exponential, which overflows from 89 on, and 0 times infinity is NaN in the gradient.
     ratio = jnp.exp(jnp.clip(log_prob - old, -MAX_LOG_RATIO, MAX_LOG_RATIO))
     return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - clip, 1.0 + clip) * advantage)
 
@@ -243,12 +247,15 @@ def compute_targets(
             config.gae_lambda,
         )
         valid = jnp.broadcast_to(~ends[2], advantage.shape)
+        # At least 1: all steps of a batch may be bad.
         count = jnp.maximum(_total(valid), 1)
         # Over the whole batch of all processes: neither minibatches nor processes change the advantages.
         mean = _total(jnp.where(valid, advantage, 0.0)) / count
         deviation = jnp.sqrt(_total(jnp.where(valid, (advantage - mean) ** 2, 0.0)) / count)
         normal.append(jnp.where(valid, (advantage - mean) / (deviation + 1e-8), 0.0))
         returns.append(advantage + trajectory.value[g])
+        # The statistics of the rollout, in which its values were predicted; they are updated after the
+        # epochs.
         scale = train_state.return_statistics[g]
         targets.append((returns[g] - scale.mean) / scale.std)
     batch = Minibatch(
@@ -279,7 +286,9 @@ def loss(
         config: Settings.
     """
     steps, ends = minibatch.trajectory, minibatch.ends
+    # By the worlds' numbers: a minibatch in another order, or process, draws the same.
     keys = fold_each(key, ends.world_index)
+    # The critic reads its weights from here: without this no gradient would reach them.
     train_state = train_state.replace(params=weights)
     starts = tuple(steps.starts(g) for g in range(len(steps.obs)))
     values, _ = critic_values(networks, train_state, (steps.obs, steps.privileged), ends.critic_carry, starts)
@@ -359,6 +368,7 @@ def begin_update(networks: Networks, config: Config, train_state: TrainState) ->
         learning_rate=initial_adaptive_rate(train_state.learning_rate, config),
         opt_state=make_optimiser(config).init(train_state.params),
     )
+    # `where` on all leaves, not an `if`: the iteration is traced.
     return jax.tree.map(
         partial(jnp.where, train_state.iteration == imitation_iterations), restarted, train_state
     )
@@ -384,6 +394,7 @@ def run_epochs(
         gradient, sums = jax.grad(loss, has_aux=True)(
             state.params, networks, state, batch.select_worlds(index), key, config
         )
+        # Sums cross, not means: the processes' numbers of good steps differ.
         gradient, sums = jax.lax.psum((gradient, sums), PROCESS_AXIS)
         weight = jnp.maximum(sums.pop("weight"), 1.0)
         gradient, stats = jax.tree.map(lambda one: one / weight, (gradient, sums))
@@ -394,6 +405,7 @@ def run_epochs(
         # Not by optax: the rate is part of the train state, which `adaptive` changes between minibatches.
         params = jax.tree.map(lambda old, step: old - state.learning_rate * step, state.params, steps)
         updated = state.replace(params=params, opt_state=moments)
+        # Adam's moments, too: NaN in them would last for ever.
         updated = jax.tree.map(lambda after, before: jnp.where(finite, after, before), updated, state)
         if config.lr_schedule == "adaptive":
             rate = _adapt(state.learning_rate, stats["divergence"], config)
@@ -404,8 +416,10 @@ def run_epochs(
 
     def epoch(state: TrainState, number: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
         epoch_key = jax.random.fold_in(key, number)
+        # Blocks are numbered over all processes, so the shuffle does not depend on how many there are.
         first_block = jax.lax.axis_index(PROCESS_AXIS) * blocks
         index = _shuffle(epoch_key, worlds, blocks, first_block, config.num_minibatches)
+        # Counted on from the blocks' numbers, whose keys shuffle: no key is used twice.
         keys = fold_each(epoch_key, config.shuffled_blocks + jnp.arange(config.num_minibatches))
         return jax.lax.scan(update_once, state, (index, keys))
 
@@ -443,6 +457,7 @@ def update(
     """
     steps, ends, sums = experience
     wrap: Callable[..., jax.Array] = jax.random.wrap_key_data  # pyright: ignore[reportUnknownMemberType]
+    # By the iteration in the train state: a resumed run draws as it would have.
     key = jax.random.fold_in(wrap(stream), train_state.iteration)
     batch, returns = compute_targets(networks, train_state, steps, ends, config)
     # Statistics follow the update: log-probabilities and values of the rollout were taken with the old ones.

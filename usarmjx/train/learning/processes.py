@@ -43,6 +43,7 @@ def run_lock(run: Path) -> Generator[None]:
     """
     path = run / LOCK_FILE
     with writing(path):
+        # Appending creates the file without emptying it: the holder's name in it is shown below.
         file = path.open("a+")
     with file:
         if not _lock(file.fileno()):
@@ -53,6 +54,7 @@ def run_lock(run: Path) -> Generator[None]:
             file.truncate(0)
             file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
             file.flush()
+        # The lock ends when the file is closed, after the body.
         yield
 
 
@@ -88,6 +90,7 @@ def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
     info = process_info(os.environ if environment is None else environment)
     if info is None:
         return ProcessInfo(1, 0, 0)
+    # A second call raises in JAX.
     if jax.distributed.is_initialized():
         return info
     # JAX has no collectives between CPU processes unless it is given an implementation.

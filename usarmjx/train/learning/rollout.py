@@ -174,6 +174,7 @@ class Rollout:
 
         def draw(key: jax.Array) -> jax.Array:
             start = jax.random.randint(key, (), 0, self.env.episode_steps)
+            # A multiple of the repeat, so that a time-out falls on the end of an action, as it does later.
             return start - start % self.config.action_repeat
 
         offset = jax.vmap(draw)(keys)
@@ -196,6 +197,7 @@ class Rollout:
         kinds = [policy.distribution(g) for g in range(len(raw))]
         value, critic = self._value(train_state, view.obs, view.privileged, carry[1])
         log_prob = tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True))
+        # After the log-probabilities: they are of the policy's own draws, and replaced agents do not learn.
         match, raw = self._against_rivals(train_state, view.obs, raw, background, (*key, worlds))
         seen = (view.obs, background.memory)
         teacher, teacher_action = self._teacher_action(train_state, seen, carry[2], jax.random.fold_in(*key))
@@ -239,6 +241,7 @@ class Rollout:
             return carry, ()
         obs, memory = seen
         zeros = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
+        # A branch, not `where`: a planner may cost more than the physics, and is not run after imitation.
         return jax.lax.cond(
             self.networks.is_imitating(train_state, self.config),
             lambda: teacher.act(carry, teacher_obs(self.env, memory, obs, self.config.teacher), key),
@@ -272,6 +275,7 @@ class Rollout:
         finite = jnp.stack([jnp.isfinite(one).all((1, 2)) for one in numbers]).all(0)
         # A world whose numbers are not finite is as bad as one whose physics failed: neither is trained on.
         bad = after.bad | ~finite
+        # A bad step ends the episode, so no memory of it goes on; it is no time-out.
         done = after.done | bad
         truncated = after.truncated & ~bad
         zeros = tuple(jnp.zeros_like(value) for value in decision.value)
@@ -405,6 +409,7 @@ class Rollout:
             then = self.env.step(now, actions)
             sums = tuple(a + b for a, b in zip(now.reward, then.reward, strict=True))
             going = then.replace(reward=sums)
+            # Only results are kept: state and observations go on, into the next episode.
             kept = {
                 name: jax.tree.map(partial(_where_open, ~now.done), getattr(going, name), getattr(now, name))
                 for name in HELD_FIELDS

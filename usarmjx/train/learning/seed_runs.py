@@ -144,6 +144,7 @@ class SeedRollout(Rollout):
 
     def _any(self, where: jax.Array) -> jax.Array:
         """Return whether something is true in any world of any seed ()."""
+        # Over all seeds, so that the condition is one for the mapped program, not one for each seed.
         return jax.lax.psum(where.any().astype(jnp.int32), SEED_AXIS) > 0
 
     def _seeds(self) -> tuple[Any, jax.Array]:
@@ -215,6 +216,7 @@ class SeedTrainer(Trainer):
     ) -> None:
         self.seeds, self.runs = seeds, len(seeds)
         super().__init__(env, config, process_group)
+        # One key for each seed, all folded by the same number.
         self._fold = jax.jit(jax.vmap(jax.random.fold_in, (0, None)))
 
     def _make_rollout(self, first: int, teacher: Policy | None) -> Rollout:
@@ -222,6 +224,7 @@ class SeedTrainer(Trainer):
         return SeedRollout(self.seeds, self.env, self.networks, self.config, teacher, self._program_cache)
 
     def _updater(self) -> Callable[..., tuple[TrainState, dict[str, jax.Array]]]:
+        # Steps have worlds on axis 1, so their seeds are there, too; ends have them in front.
         mapped = jax.vmap(super()._updater(), in_axes=(0, (1, 0, 1), 0))
 
         def update_all(
@@ -304,6 +307,7 @@ def train_seeds(  # noqa: PLR0913 - all but four may be left out
         with compiling(trainer):
             restored = _restore(trainer, checkpoints, source)
         folders = [run.run for run in checkpoints.runs]
+        # The folders of all seeds are at the same iteration: the shared checkpoint counts.
         logs = _logs(folders, trainer.iterations, restored[2], progress)
         outputs = RunOutputs(folders=folders, logs=logs, save=checkpoints.save, watch=watch or ignore)
         return run_iterations(trainer, outputs, restored, began, stop)
@@ -383,8 +387,10 @@ class SeedCheckpoints:
         Raises:
             WriteError: The earlier ones are whole.
         """
+        # Fetched once: each seed's part is then cut from memory of the host.
         learners = jax.device_get(train_state)
         for number, (run, note) in enumerate(zip(self.runs, notes, strict=True)):
+            # All are kept until the shared one is written: an interruption in between must leave a full set.
             run.write(iteration, {"learner": of_seed(learners, number)}, {**note, SET: len(self.runs)})
             if learners.league is not None:
                 write_standings(run.run, iteration, of_seed(learners.league, number))
@@ -445,6 +451,7 @@ def _restore(
         checkpoints.save(0, train_state, worlds, notes)
         return train_state, worlds, 0
     if not checkpoints.shared.all():
+        # Without shared worlds no run's checkpoint can go on: all of them are dropped.
         checkpoints.drop_unfinished(-1)
         return train_state, worlds, 0
     path = checkpoints.shared.find("last")

@@ -32,7 +32,10 @@ class TensorBoardLog(AppendedFile):
         now = f"{time.time():.0f}.{socket.gethostname()}.{os.getpid()}"
         super().__init__(folder / f"events.out.tfevents.{now}")
         start: Any = SessionLog(status=SessionLog.START)
+        # TensorBoard drops what an earlier file has from a START's step on: a resumed run repeats those
+        # steps.
         first = Event(step=after + 1, file_version="brain.Event:2")
+        # Written with the first numbers, so a run that fails at its start leaves no file.
         self._waiting = [_framed(first), _framed(Event(step=after + 1, session_log=start))]
 
     def show(self, agent_steps: int, numbers: Mapping[str, float]) -> None:

@@ -127,11 +127,13 @@ class Networks:
 
     def init(self, key: jax.Array) -> ActorCriticParams:
         """Return weights to begin with."""
+        # Separate streams: a change of the policy's groups leaves the critics' first weights as they were.
         policy, critic = (jax.random.fold_in(key, s) for s in (POLICY_STREAM, CRITIC_STREAM))
         policies = self.policy.init(policy)
         none = jnp.zeros(self.policy.layers[0])
         return ActorCriticParams(
             policy=policies[:1] if self.shared else policies,
+            # Zeros: all groups begin with the same policy.
             group_bias=tuple(none for _ in self.groups) if self.shared else (),
             critic=tuple(
                 init_network(self.critic(g), jax.random.fold_in(critic, g), group, self.privileged_size)
@@ -157,6 +159,7 @@ def make_networks(groups: tuple[AgentGroup, ...], privileged_size: int, config: 
 
 def make_optimiser(config: Config) -> optax.GradientTransformation:
     """Return the optimiser, whose steps are still to be multiplied by minus the learning rate."""
+    # A larger epsilon than Adam's 1e-8, as in PPO's reference code: small second moments give no leaps.
     return optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam(eps=1e-5))
 
 

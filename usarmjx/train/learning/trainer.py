@@ -87,6 +87,7 @@ class StopRequest:
 
     def _request(self, number: int, frame: FrameType | None) -> None:
         del frame
+        # First, so that a second signal ends the process at once.
         self._restore()
         self.number = number
         name = signal.Signals(number).name
@@ -134,6 +135,7 @@ def _mean_score(lines: list[dict[str, Any]]) -> float | None:
     """Return the mean score of the episodes of some iterations; None where none ended."""
     rows = [(line["episodes"], line["score"]) for line in lines if line["score"] is not None]
     count = sum(episodes for episodes, _ in rows)
+    # Weighted by episodes: an iteration with one that ended says little.
     return sum(episodes * score for episodes, score in rows) / count if count else None
 
 
@@ -187,6 +189,7 @@ class _CheckpointWriter:
         self._pool = ThreadPoolExecutor(1, "checkpoints") if beside else None
         self._lines: list[Records] = []
         self._written: Future[WriteError | None] = Future()
+        # A finished future stands for no checkpoint at work, so nobody has to ask which it is.
         self._written.set_result(None)
 
     def save(self, iteration: int, state: tuple[TrainState, RolloutState], notes: Records) -> None:
@@ -200,6 +203,7 @@ class _CheckpointWriter:
     def show(self, lines: Records, last: bool) -> None:
         """Hand on an iteration's records, at once unless a checkpoint is being written or it is the last."""
         self._lines.append(lines)
+        # Records wait for their checkpoint: a watcher may read the folder when it gets them.
         if self._written.done() and not last:
             self.settle()
 
@@ -267,7 +271,9 @@ def _iterations(
     pending: list[_Iteration] = []
     for number in range(done + 1, trainer.iterations + 1):
         train_state, worlds, known = trainer.iterate(train_state, worlds, number - 1)
+        # Alone only: a stop in one of several processes would leave the others waiting in a collective.
         if trainer.process_group.count == 1:
+            # After the first iteration: before there is nothing that a checkpoint could keep.
             stop.arm()
         last = number == trainer.iterations or stop.requested
         due = last or number % trainer.config.checkpoint_interval == 0
@@ -355,6 +361,7 @@ def run_iterations(
     with ExitStack() as held:
         for log in logs:
             held.enter_context(log)
+        # Entered last, so closed first: the thread's last words still reach the logs.
         held.enter_context(closing(writer))
         for finished in chain.from_iterable(_iterations(trainer, restored, stop)):
             done = finished.number
@@ -402,6 +409,7 @@ def compiling(trainer: "Trainer") -> Generator[None]:
     if not trainer.env.traceable:
         yield
         return
+    # Shapes with a device: a program that is compiled for no place would be compiled again at the first call.
     place = SingleDeviceSharding(trainer.process_group.device)
     shapes = jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place), trainer.start_shapes()
@@ -414,6 +422,7 @@ def compiling(trainer: "Trainer") -> Generator[None]:
             pool.submit(trainer.compile_update, shapes[0], collected)
 
         done = pool.submit(trainer.rollout.compile_ahead, *shapes, tell=compile_update)
+        # Also after a fault, or the wait below would never end.
         done.add_done_callback(lambda _: lowered.set())
         lowered.wait()
         yield
@@ -472,6 +481,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         trainer.rollout.look, trainer.inspect = look or trainer.rollout.look, inspect
         checkpoints = Checkpoints(out, process_group, config.keep_checkpoints)
         if not resume:
+            # The lock makes the folder; it comes late, so that refused settings leave no folder behind.
             lock_run(held, out, process_group)
             _check_new(out, process_group)  # another one may have been quicker
         record = make_record(trainer.env, config, process_group.count, origin)

@@ -65,6 +65,8 @@ class Trajectory(PyTreeNode, kw_only=True):
         """
         done, truncated = self.done[..., None], self.truncated[..., None]
         if self.alive:
+            # An agent that dies in the last step has ended by itself: the time-out's bootstrap is not its
+            # own.
             done, truncated = done | ~self.survived[group], truncated & self.survived[group]
         return done, truncated, ~self.valid(group)
 
@@ -244,6 +246,7 @@ def inputs_of(
 
     def spread(values: jax.Array) -> jax.Array:
         late = jnp.arange(len(values) * repeat) % repeat == repeat - 1
+        # Only the last repeat has the result, or a reward would count several times.
         return jnp.where(late[:, None], jnp.repeat(values, repeat, 0), jnp.zeros((), values.dtype))
 
     return RolloutInputs(

@@ -257,6 +257,7 @@ def fits(units: int, dtype: Any) -> bool:  # noqa: ANN401 - what NumPy takes for
 
 
 def _launch(rows: int, units: int) -> int:
+    # Rounded up to whole blocks: the kernel skips rows beyond the last one.
     return -(-rows // ROWS) * 3 * units
 
 
@@ -266,6 +267,7 @@ def recur_on_warp(
     """Return the carry after each step (steps, worlds, robots, units); arguments as of `networks.recur`."""
     steps, worlds, robots, units = (*gates.shape[:3], carry.shape[-1])
     rows = worlds * robots
+    # Warp's kernels take flat arrays; its booleans have another size than JAX's, hence int32.
     flat = [x.reshape(-1) for x in (gates, weights, bias, carry, is_first.astype(jnp.int32))]
     after = _forward(units)(
         *flat, steps, rows, robots, output_dims=steps * rows * units, launch_dims=_launch(rows, units)

@@ -93,6 +93,7 @@ def initial_belief(grid: MapGrid, pose: jax.Array) -> Belief:
     """
     robots = pose.shape[0]
     table = (robots, *grid.shape)
+    # The goal of each is where it stands, until its first message says more.
     others = jnp.concatenate([pose, pose[:, :2], jnp.zeros((robots, 1))], -1)
     return Belief(
         evidence=jnp.zeros(table, jnp.int8),
@@ -140,6 +141,7 @@ class GroupScan:
 def sectors(ranges: Array) -> jax.Array:
     """Return the shortest beam of each sector of a scan (..., beams) [m] (..., SECTOR_COUNT)."""
     beams = ranges.shape[-1]
+    # Rounded edges: sectors differ by a beam at most when their number does not divide the beams.
     edges = np.round(np.linspace(0, beams, SECTOR_COUNT + 1)).astype(int)
     return jnp.stack([ranges[..., a:b].min(-1) for a, b in itertools.pairwise(edges)], -1)
 
@@ -231,10 +233,12 @@ def _read_headers(
     ago = last(same)
     until_then = jnp.where(ago < 0, heard[sender], time[ago])
     # A message that did not come breaks the link: what was sent in between was not received.
+    # One and a half periods: one message may be late by rounding, none may be missing.
     broken = last((same | (place[:, None] == place)) & (time - until_then > 1.5 * period))
     begun = jnp.where(broken < 0, since[sender], time[broken])
     # What it had from this robot by its contact is at the base: a message takes a period.
     passed_on = jnp.minimum(told[:, HEADER_SIZE - 1] - period, until_then)
+    # The margin is of single precision: times of some thousand seconds are exact to a tenth of that.
     known = jnp.where(there & (passed_on >= begun - 1e-3), passed_on, -jnp.inf)
     newest = last(there & (sender == robots[:, None]))
     news = newest >= 0

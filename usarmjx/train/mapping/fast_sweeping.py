@@ -89,6 +89,7 @@ def over_maps(run: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
     """
     call = custom_vmap(run)
 
+    # JAX calls this for `vmap`; a nested one calls it again for the longer axis, until one call is left.
     @call.def_vmap
     def mapped(size: int, batched: list[bool], *args: jax.Array) -> tuple[jax.Array, bool]:
         rows = [

@@ -88,6 +88,7 @@ def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
         raise UsageError(f"squares of {cell} m, expected a side above 0")
     extents = np.array([arena.extent for arena in arenas])  # (arenas, x or y, low or high)
     low, high = extents[..., 0].min(0), extents[..., 1].max(0)
+    # Both borders count: from 0 to 1.2 m by 0.3 m there are five middles.
     counts = np.rint((high - low) / cell) + 1
     return MapGrid(low=(float(low[0]), float(low[1])), cell=cell, shape=(int(counts[0]), int(counts[1])))
 
@@ -115,9 +116,11 @@ def classify_scan(
         pose: Pose, true or believed: x, y [m] and yaw [rad] (3,).
         ranges: Ranges [m] (beams,).
     """
+    # Odd, so that the robot's own square is in the middle.
     width = 2 * math.ceil(scanner.max_range / grid.cell + 2) + 1  # squares; beyond them it shows nothing
     if width * width > grid.square_count * WINDOW_SHARE or width > min(grid.shape):
         return _classify_squares(grid, jnp.asarray(grid.centres), scanner, pose, ranges)
+    # Clipped, so that the window stays on the map: dynamic slices would be shifted without a word.
     corner = jnp.clip(grid.index(pose[:2]) - width // 2, 0, np.array(grid.shape) - width)
     rows, columns = (corner[axis] + np.arange(width) for axis in range(2))
     x, y = jnp.asarray(grid.centres[:, 0, 0])[rows], jnp.asarray(grid.centres[0, :, 1])[columns]
@@ -135,11 +138,13 @@ def _classify_squares(
     away_x, away_y = centres[..., 0] - pose[0], centres[..., 1] - pose[1]
     distance = jnp.sqrt(away_x * away_x + away_y * away_y)
     bearing = jnp.arctan2(away_y, away_x) - pose[2]
+    # Into -pi to pi, or squares behind the robot would lie beyond the scan's ends.
     bearing = jnp.mod(bearing + jnp.pi, 2 * jnp.pi) - jnp.pi
     step, beams = scanner.resolution, scanner.beams
     place = (bearing + scanner.scan_fov / 2) / step
     if scanner.is_full_turn:  # the first beam follows the last
         place = jnp.mod(place, beams)
+        # The remainder of a number just below the count may round up to it.
         first = jnp.minimum(jnp.floor(place).astype(jnp.int32), beams - 1)
         seen, second = jnp.ones(place.shape, bool), jnp.mod(first + 1, beams)
     else:
@@ -151,6 +156,7 @@ def _classify_squares(
     flat = math.sin(step) / (
         jnp.sin(step - share) / jnp.maximum(one, 1e-3) + jnp.sin(share) / jnp.maximum(two, 1e-3)
     )
+    # Rounding may make it negative for equal ranges, and its root NaN.
     apart = jnp.sqrt(jnp.maximum(one**2 + two**2 - 2 * one * two * math.cos(step), 0.0))
     smooth = (apart < MAX_SURFACE_GAP) & (jnp.maximum(one, two) < scanner.max_range)
     near = jnp.where(place - first < 0.5, one, two)
@@ -166,6 +172,7 @@ def update_evidence(evidence: Array, free: Array, wall: Array) -> jax.Array:
 
     Moving things, such as other robots, are so forgotten after some scans.
     """
+    # Signed before the difference: unsigned ones would wrap around.
     change = jnp.asarray(wall, jnp.int8) - jnp.asarray(free, jnp.int8)
     return jnp.clip(evidence + change, -MAX_EVIDENCE, MAX_EVIDENCE).astype(jnp.int8)
 
@@ -219,6 +226,7 @@ def pack(squares: Array) -> jax.Array:
     flat = jnp.ravel(squares).astype(jnp.int32)
     missing = jnp.zeros(-flat.shape[0] % SQUARES_PER_NUMBER, jnp.int32)
     rows = jnp.concatenate([flat, missing]).reshape(-1, SQUARES_PER_NUMBER)
+    # Sums below 2^24 are whole in single precision, which all payloads have.
     return (rows * 4 ** np.arange(SQUARES_PER_NUMBER)).sum(-1).astype(jnp.float32)
 
 

@@ -140,11 +140,13 @@ def plan_paths(
         end: jax.Array,
         want: Array,
     ) -> tuple[jax.Array, ...]:
+        # Costs must not lift an end above `UNREACHABLE`: lengths are compared with it.
         end = jnp.minimum(end + frontier_costs(grid, pose, mates, age, first), UNREACHABLE)
         return path_to_nearest(
             grid, here, pose, jnp.where(jnp.isnan(want), end, want), blocked=near_others(grid, mates, age)
         )
 
+    # Only those of lower slots: if two shunned each other's goals, both would turn away.
     first = heeded < planners[:, None]
     ways = jax.vmap(one)(squares, known.pose[mine], mates, ages, first, ends, wanted)
     before = belief.waypoint, belief.goal, belief.path_length
@@ -174,6 +176,7 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, first: 
     """
     known, first = (age < STALE_AGE)[:, None, None], first[:, None, None]
     mine, theirs = grid.gaps(pose[:2]), grid.squared_gaps(mates[:, :2])
+    # Compared as squares, which saves a root for each pair of robots and squares.
     low, high = jnp.maximum(mine - SAME_GAP, 0.0), mine + SAME_GAP
     nearer = (theirs < low * low) | ((theirs < high * high) & first)
     rank = (known & nearer).sum(0)
@@ -211,8 +214,10 @@ def path_to_nearest(
     Returns:
         Two positions [m] (2,), and the length in squares (); without a path both are where the robot is.
     """
+    # The robot's surroundings stay open: another one next to it must not wall it in.
     open_ = (squares == FREE) & ~(blocked & (grid.gaps(pose[:2]) > grid.cell))
     here = grid.index(pose[:2])
+    # Its own square, too, whatever the map says: a way could not end there.
     open_ = open_.at[here[0], here[1]].set(True)
     far = distances(sources, open_, jnp.where(passable(squares), 0.0, WALL_COST), until=here)
     path = square_centre(grid, shortest_path(far, here, LONGEST))
@@ -271,6 +276,7 @@ def box_sum(values: Array, radius: int) -> jax.Array:
     total = jnp.asarray(values, jnp.float32)
     for axis in range(2):
         padding = [(0, 0), (0, 0)]
+        # One more in front: a difference of cumulative sums needs the sum before the first square.
         padding[axis] = (radius + 1, radius)
         sums = jnp.cumsum(jnp.pad(total, padding), axis)  # pyright: ignore[reportUnknownMemberType]
         length = total.shape[axis]
@@ -299,6 +305,7 @@ def block_minima(costs: Array, count: int) -> tuple[jax.Array, jax.Array]:
     down, across = whole.shape[0] // BLOCK, whole.shape[1] // BLOCK
     blocks = whole.reshape(down, BLOCK, across, BLOCK).swapaxes(1, 2).reshape(down * across, -1)
     inside, lowest = blocks.argmin(-1), blocks.min(-1)
+    # A small map has fewer blocks than goals; shapes must not depend on that.
     if down * across < count:
         lowest = jnp.concatenate([lowest, jnp.full(count - down * across, UNREACHABLE)])
         inside = jnp.concatenate([inside, jnp.zeros(count - down * across, inside.dtype)])
@@ -399,6 +406,7 @@ def where_due(compute: Callable[..., Any], due: Array, old: Any, *args: Any) -> 
                 lambda new, before: jnp.where(due.reshape(-1, *[1] * (new.ndim - 1)), new, before), found, old
             )
 
+        # One condition for all worlds: mapped, a condition of each would become a `where` that computes both.
         found = tuple(jax.tree.leaves(jax.lax.cond(due.any(), anew, lambda: old)))
         return found, (True,) * len(found)
 

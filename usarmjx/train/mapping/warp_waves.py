@@ -300,6 +300,7 @@ def _distances(start: Array, enter: Array, until: Array) -> jax.Array:
     """Return the distances (maps, i, j) of all maps; `until` is (maps, 2), below 0: none is asked for."""
     maps, rows, columns = start.shape
     flat = [x.reshape(-1) for x in (start, enter, until)]
+    # By the odd stride: that is the room that the rows take in shared memory.
     name, threads = _sweeper(rows * (columns | 1))
     launch = _kernel(name, threads)
     found = launch(*flat, rows, columns, output_dims=start.size, launch_dims=maps * threads)
