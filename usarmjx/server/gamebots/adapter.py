@@ -60,6 +60,8 @@ def pan_tilt_of(robot: RobotSpec) -> MissionPackage | None:
     """Return the pan-tilt frame that carries a robot's first camera; None without one."""
     for package in robot.packages:
         parts = {part_name(package, link) for link in package.links}
+        # The manual lets CAMERA turn only a pan-tilt frame: an arm that carries a camera has other links,
+        # too.
         is_frame = {link.number for link in package.links} == {PAN_LINK, TILT_LINK}
         if is_frame and robot.cameras and robot.cameras[0].parent in parts:
             return package
@@ -140,6 +142,8 @@ class Client:
 
     def handle(self, command: wire.Command) -> None:
         """Carry out any command but INIT; nothing if the robot is lost: its slot may be another's."""
+        # A page's user keeps the robot while it drives: two sources of setpoints would take turns at each
+        # step.
         if (
             self.robot is not None
             and self.robot.controller not in (None, self)
@@ -154,6 +158,7 @@ class Client:
     def log_faults(self, *, is_last: bool = False) -> None:
         """Log the faults of the client's lines, at most one line a second; the last at once."""
         now = time.monotonic()
+        # The session keeps only some of the faults but counts all, so the line says how many there were.
         count = self.session.fault_count - self._logged
         if count and (is_last or now >= self._next_log):
             self._next_log, self._logged = now + INTERVAL, self.session.fault_count
@@ -177,6 +182,7 @@ class Client:
 
     def robot_class(self, init: wire.Init) -> RobotSpec | None:
         """Return the robot class of an INIT; None when there is no such class."""
+        # The class as given goes first: a later version's name must not hide a class that is registered here.
         later = LATER_CLASSES.get(init.class_name.lower(), "")
         for name in (init.class_name, later):
             if name in ROBOTS:
@@ -204,7 +210,9 @@ class Client:
 
     def record_lines(self, peer: str, data: bytes, *, sent: bool) -> None:
         """Record bytes sent to the client or received from it, if the world is recorded."""
+        # Bytes are recorded as they came, undecoded: a recording must show a malformed line, too.
         if data and self._world.recorder is not None:
+            # A token is taken out before the file is written: recordings are passed on.
             if not sent and AUTH.encode() in data.upper():
                 data = redact(data.decode("latin-1")).encode("latin-1")
             self._world.recorder.lines(peer, self.robot.name if self.robot else "", data, sent=sent)
@@ -219,6 +227,7 @@ class Client:
     @property
     def lost(self) -> bool:
         """Whether the robot has vanished under the client (its world was reset)."""
+        # Identity, not the name: after a reset another client's robot may have this slot.
         return self.robot is not None and self._world.robots.get(self.robot.slot) is not self.robot
 
     @property
@@ -267,6 +276,7 @@ class Client:
             self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
         # The known keys of a DRIVE count even if others are wrong.
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
+        # A flip ends at a step, not at a time: a sum of floats would end it a step early or late.
         flip = round(FLIP_TIME / self._world.period)
         flip_until = wrapped_step(self._world.steps + flip) if command.flip else None
         self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
@@ -280,6 +290,8 @@ class Client:
         target, present = robot.command.target[joint], robot.command.mode[joint]
         goal: ArrayLike = value
         if order == BRAKE:
+            # A velocity of 0 holds the joint where it is now; a position would need the measured one, a step
+            # old.
             goal, mode = 0.0, ControlMode.VELOCITY
         elif order in RELATIVE_MODES:
             mode = RELATIVE_MODES[order]
@@ -311,11 +323,13 @@ class Client:
             done = self._set_named_joint(command.name, command.order, command.value)
         if command.steer is not None:
             steer = command.name + STEER_SUFFIX
+            # Both are ordered before the answer: a bad steering part must not keep the wheel from moving.
             done = self._set_named_joint(steer, ControlMode.POSITION, command.steer) and done
         return done
 
     def _set_joint(self, command: wire.SetJoint) -> None:
         robot, is_angle = self._present, command.order == ControlMode.POSITION
+        # The dialect's word for all joints counts only with angles; with other orders it is a name like any.
         if is_angle and command.name.lower() in self.session.dialect.all_joints and not self.battery_empty:
             goals: dict[str, ArrayLike] = {
                 part.name: command.value
@@ -379,6 +393,7 @@ class Client:
         if self.battery_empty:
             return
         sensor = robot.suite.find(command.type, command.name)
+        # An RFID sensor answers with the tag's data, not with the common RES.
         if sensor is not None and robot.suite.sensors[sensor].kind == Rfid.kind:
             self.session.send(self._access_tag(robot, sensor, command))
             return
@@ -403,6 +418,7 @@ class Client:
         """Carry out a SET on a sensor; return the Status to answer."""
         form = robot.suite.sensors[index].parameters_of(command.opcode)
         values = read_parameters(command.params, form)
+        # Only a pose has axes: other parameters go to the sensor as they came.
         if command.opcode.upper() == "POSE" and len(values) == 6:
             values = (*flip_wire_vector(values[:3]), *flip_wire_angles(values[3:]))
         done = self._world.operate_sensor(robot, index, command.opcode, values)
@@ -420,6 +436,7 @@ class Client:
         robot = self._present
         if self.battery_empty:
             return
+        # The answer lists all cameras, also those that the command leaves out.
         statuses, unknown = [STATUS_OK] * len(robot.cameras), list[str]()
         for name, fov in command.cameras:
             camera = robot.camera_index(name)
@@ -471,11 +488,13 @@ class Client:
 
     def add_trace_point(self) -> None:
         """Add a point to the robot's trace if one is due; call it after every control step."""
+        # A lost robot's slot may be another's, whose path would go on in this trace.
         if (
             self._trace_state is not None
             and self._trace_state.due(self._world.time)
             and not (self.robot is None or self.lost)
         ):
+            # JAX scalars become floats here: the trace outlives the step whose buffers they are in.
             x, y, z = (float(value) for value in self._world.state(self.robot).pos)
             self._world.traces.add_point(self._trace_state, (x, y, z), self._world.time)
 
@@ -491,6 +510,7 @@ class Client:
         """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
         index = robot.effecter_index(command.type, command.name)
         if index is not None and isinstance(robot.effecters[index], Gripper | Vacuum):
+            # Only the later dialect means closed or open by these; else the effecter reads the opcode.
             order = binary_order(command) if self.session.dialect.has_binary_grippers else None
             if order is not None:
                 return grip(self._world, robot, index, closes=order)

@@ -99,6 +99,7 @@ class BudgetPool:
         Raises:
             PeerError: Its wait is cancelled.
         """
+        # A loop: between the wake-up and this task's run another client may have spent the step's time.
         while self.is_spent or budget.balance <= 0.0:
             self._waiting[budget] = asyncio.get_running_loop().create_future()
             try:
@@ -108,6 +109,7 @@ class BudgetPool:
                 self._wake_next()
                 raise
             finally:
+                # Also after a wake-up: a done future left here would count as a waiter that hangs for ever.
                 del self._waiting[budget]
 
     def has_waiting(self, budget: "ClientBudget") -> bool:
@@ -116,6 +118,7 @@ class BudgetPool:
 
     def dismiss(self, budget: "ClientBudget", reason: str) -> None:
         """Cancel a client's wait and turn; nothing if it does not wait."""
+        # A done future has its turn already, and a second result would raise InvalidStateError.
         called = self._waiting.get(budget)
         if called is not None and not called.done():
             called.set_exception(PeerError(reason))
@@ -124,6 +127,7 @@ class BudgetPool:
         """Wake the client with the least recent use, so that a client with few requests hardly waits."""
         if self.is_spent:
             return
+        # A client in debt is passed over: its wake-up would be wasted, and nobody else would get it.
         able = [one for one, called in self._waiting.items() if not called.done() and one.balance > 0.0]
         if able:
             self._waiting[min(able, key=lambda budget: budget.used)].set_result(None)
@@ -158,6 +162,7 @@ class ClientBudget:
 
     def charge(self, cost: float) -> None:
         """Subtract a price besides the cost of the work."""
+        # Both properties read `_step`: it moves only after they are evaluated.
         self._balance, self._used = self.balance - cost, self.used + cost
         self._step = self._pool.steps
 

@@ -42,6 +42,7 @@ def grip(world: ServedWorld, robot: Robot, index: int, *, closes: bool) -> str:
     is_vacuum = isinstance(effecter, Vacuum)
     opcode = effecter.opcode("Grip" if is_vacuum else "Open")
     assert opcode is not None
+    # A vacuum sucks at its largest value, fingers close at their smallest.
     return world.operate(robot, index, opcode, opcode.max_val if closes == is_vacuum else opcode.min_val)
 
 
@@ -68,6 +69,7 @@ def gripper_reports(world: ServedWorld, robot: Robot) -> list[Message]:
             if isinstance(effecter, Gripper | Vacuum):
                 is_vacuum = isinstance(effecter, Vacuum)
                 is_closed = world.sucks(robot, index) if is_vacuum else _is_closed(robot, effecter)
+                # A vacuum reports as a Gripper, too: clients of the later versions know only that type.
                 head = ("Type", Gripper.kind), ("Name", effecter.mount.name)
                 messages.append(Message("EFF", (*head, ("Status", "CLOSED" if is_closed else "OPEN"))))
     return messages
@@ -81,6 +83,8 @@ def _is_closed(robot: Robot, gripper: Gripper) -> bool:
             joint = robot.plan.joint_index(part.name)
             assert joint is not None
             closed = float(gripper.joint_target(part, least)) + CLOSED_TOLERANCE
+            # The order decides, not the measured angle: fingers around a thick object never reach the closed
+            # angle.
             if command.mode[joint] != ControlMode.POSITION or command.target[joint] > closed:
                 return False
     return True

@@ -39,6 +39,7 @@ def first_report_time(robot: Robot, others: Iterable[Robot], since: float, perio
     timer, there = robot.spec.msg_timer, [other for other in others if other is not robot]
 
     def merit(time: float) -> tuple[int, int]:
+        # Half a step as tolerance: report times are sums of floats, equal ones differ in the last digits.
         together = [other for other in there if abs(other.next_report - time) < period / 2]
         team = sum(other.spec is robot.spec for other in together)
         return team if team < MAX_TEAM else 0, -len(together)
@@ -57,6 +58,7 @@ def objects_report(sensor: ObjectSensor, met: Iterable[MetObject], time: float |
 
 def battery_left(world: ServedWorld, robot: Robot) -> int:
     """Return the remaining time of the battery [s], as in STA."""
+    # Without the margin 120.0000001 s left would be reported as 121.
     return max(0, math.ceil(world.battery(robot) - 1e-6))
 
 
@@ -75,6 +77,7 @@ class Reporter:
     def report(self, robot: Robot) -> None:
         """Send STA, fresh readings of sensors, MISSTA, and EFF of later versions: the original's order."""
         world, time = self._world, self._world.time
+        # Added to the due time, not to now: a late report must not shift all later ones.
         robot.next_report += robot.spec.msg_timer
         now, physics = world.one_world()
         state, battery = world.state(robot, physics), battery_left(world, robot)
@@ -82,6 +85,7 @@ class Reporter:
         # STA comes first, and alone from a robot with an empty battery (KRobot.uc, timer).
         self._session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
         if battery <= 0:
+            # Readings of an empty robot would otherwise all go out, stale, if the battery were filled.
             robot.pending.clear()
             return
         for index in range(len(robot.suite.sensors)):
@@ -114,6 +118,7 @@ class Reporter:
                 )
             if message is not None:
                 self._session.send(message)
+        # A client that does not read is a fault of the connection, not of the sensor: it drops the client.
         except PeerError:
             raise
         except Exception as error:  # a sensor may be a user's own, with any error in `quantities`

@@ -64,6 +64,7 @@ def lookup_by_type(kind: type[Sensor], table: Mapping[str, T]) -> T | None:
     """
     for base in kind.__mro__:
         own = vars(base)
+        # A class of a user that declares quantities must not inherit the fixed line of the manual's sensor.
         if own.get("quantities"):
             return None
         if own.get("kind") in table:
@@ -327,6 +328,7 @@ def sensor_report(
         stamped: Whether to add the time regardless of the sensor's setting.
     """
     report = _report_of(type(sensor))
+    # Only these two need the world's data; all other reports share one signature.
     if report is _gps:
         report = partial(_gps, origin=origin)
     elif report is victims.tags:
@@ -337,6 +339,7 @@ def sensor_report(
 
 def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
     """Whether a query selects the item: types and names match without case, no name means all."""
+    # Later versions call some types otherwise; both names match, and the answer has the one asked for.
     kinds = {item_kind.lower(), LATER_TYPES.get(item_kind, item_kind).lower()}
     return kind.lower() in kinds and (not name or item_name.lower() == name.lower())
 

@@ -90,6 +90,7 @@ class RobotConnection:
     def flush(self) -> None:
         """Write the bytes that wait, if the socket can take them."""
         session = self.client.session
+        # Beyond the mark the bytes stay in the session, whose bound drops the client; asyncio's has none.
         if session.has_data and not self.writer.is_closing() and self._unread < MAX_WRITE_BUFFER:
             data = session.data_to_send()
             self.writer.write(data)
@@ -155,6 +156,7 @@ class BotServer:
         title: str = "",
     ) -> None:
         self.world, self.settings, self.services, self.title = world, settings, list(services), title
+        # A port of 0 is replaced by the real one in `start`.
         self.port, self.counts = settings.port, ConnectionCounts()
         self.guests: list[Client] = []
         self._bound = bound
@@ -191,6 +193,7 @@ class BotServer:
         """
         host = self.settings.host
         address = host, self.settings.port
+        # Robots listen first: the addresses of the services are printed beside this port.
         self._listener, self.port = await listen(address, self._accept, self._gate, self._bound)
         meter = self.budgets.meter = self._joins.meter = loop_meter()
         for listening in self._listener.sockets:
@@ -208,10 +211,12 @@ class BotServer:
         world_time = self.world.time
         everybody = (*self._connections, *self.guests)
         due = [client for client in everybody if client.due(world_time) and not client.lost]
+        # One call for all robots that are due: the world renders what they share once.
         if due:
             self.world.observe([client.robot for client in due if client.robot is not None])
         for client in due:
             self._guarded(client, client.report)
+        # Nobody reads a guest's reports: kept, they would fill its session until it faults.
         for guest in self.guests:
             guest.session.data_to_send()
         now = time.monotonic()
@@ -224,6 +229,7 @@ class BotServer:
         self.budgets.refill()
         self._joins.refill()
         self._remove_next()
+        # Set and cleared at once: wakes those that wait now, and later ones wait for the next step.
         self._stepped.set()
         self._stepped.clear()
 
@@ -235,6 +241,7 @@ class BotServer:
             service.stop()
         for connection in list(self._connections.values()):
             connection.writer.close()
+        # From here on clients leave at once: no further step would take them from the queue.
         self._stopped = True
         while self._leaving:
             self._leaving.popleft().leave()
@@ -277,6 +284,7 @@ class BotServer:
     def _guarded(self, client: Client, action: Callable[[], None]) -> None:
         try:
             action()
+        # Reported to the log only, as the tick has no client to raise to.
         except Exception as error:  # any error: the reports of the other clients must go out
             connection = self._connections.get(client)
             self._fault_log.warning("%s: dropped: %s", connection.peer if connection else "guest", error)
@@ -298,6 +306,7 @@ class BotServer:
         settings = self.settings
         client = Client(self.world, peer, self._fault_log, settings.dialect, settings.time_limit)
         budget = ClientBudget(self.budgets)
+        # Registered before the first await: two clients that come together must not both take the last seat.
         connection = self._connections[client] = RobotConnection(client, reader, writer, peer, budget)
         self.counts.connections += 1
         log.info("%s: connected", peer)
@@ -311,6 +320,7 @@ class BotServer:
         except asyncio.CancelledError:
             log.info("%s: the server stops", peer)  # the end of this task; nothing awaits its result
         finally:
+            # No await up to the sum below, so `faults` never misses or doubles this client's count.
             del self._connections[client]
             self.counts.faults += client.session.fault_count
             client.log_faults(is_last=True)
@@ -339,6 +349,7 @@ class BotServer:
         while not connection.writer.is_closing():
             data = await connection.reader.read(READ_SIZE)
             client.record_lines(connection.peer, data, sent=False)
+            # Parsing is charged, too: a flood of nonsense costs as much as legal commands.
             async with connection.budget:
                 commands = client.session.receive_data(data) if data else client.session.receive_eof()
             await self._execute(connection, commands)
@@ -352,6 +363,7 @@ class BotServer:
     async def _execute(self, connection: RobotConnection, commands: list[Command]) -> None:
         client = connection.client
         while commands:
+            # An INIT is always the last: the session holds back the lines behind it until it is answered.
             for command in commands:
                 self.counts.commands[type(command)] += 1
                 if not isinstance(command, Init):
@@ -392,6 +404,7 @@ class BotServer:
     async def _init(self, connection: RobotConnection, init: Init) -> bool:
         client = connection.client
         async with connection.budget:
+            # Charged before any check, so that a loop of refused INITs soon waits for its own budget.
             connection.budget.charge(INIT_COST)
             if client.becomes_controller(init):
                 return True
@@ -406,6 +419,7 @@ class BotServer:
 
         def spawn() -> bool:
             began = self._joins.clock()
+            # A guest with that name comes first; spawning would refuse the name as taken.
             accepted = self._take_over_guest(client, init, spec) or client.spawn(init, spec)
             if not accepted:
                 connection.budget.charge(self._joins.clock() - began)

@@ -34,6 +34,7 @@ def spawn_from_init(
     if init.name.lower() in names_of_robots(world):
         raise UsageError(f"there is a robot {init.name} already")
     poses = _poses(world, init, spec)
+    # Chosen before the spawn, or the new robot's own default would count as a tile in use.
     tile = world.free_tile(spec)
     robot = world.spawn_at(spec, init.name or free_name(world, spec), poses)
     robot.tile = tile
@@ -51,6 +52,7 @@ def _text(pos: Vec3) -> str:
 def free_name(world: ServedWorld, spec: RobotSpec) -> str:
     """Return a name for a robot of a class that no other has."""
     taken = names_of_robots(world)
+    # One more candidate than names taken, so that one is always free.
     numbers = (f"{spec.name}_{i}" for i in range(len(taken) + 1))
     return next(name for name in numbers if name.lower() not in taken)
 
@@ -78,6 +80,7 @@ def _poses(world: ServedWorld, init: Init, spec: RobotSpec) -> list[tuple[Vec3, 
     arena = world.arena
     named = start_of(arena, init.start) if init.start else None
     angles = flip_wire_angles(init.rotation) if init.rotation else None
+    # A start pose wins over a Location if an INIT has both.
     if init.location is not None and named is None:
         return [(flip_wire_vector(init.location), angles or (0.0, 0.0, 0.0))]
     if not arena.starts:

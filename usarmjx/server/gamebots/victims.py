@@ -44,6 +44,7 @@ def victims(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     parts: list[Segment] = []
     for seen, part, *pos in value.tolist():
         if seen:
+            # Captured lines have a Location behind each PartName; clients pair them by that order.
             parts += [
                 ("PartName", PART_NAMES[int(part)]),
                 ("Location", two_decimals_list(flip_wire_vector(pos))),
@@ -142,7 +143,9 @@ def access_tag(
     if opcode == "read":
         memory = texts.get(number, "") or EMPTY_MEMORY
         return Message("RES", (*echo, ("Status", STATUS_OK), ("ID", str(number)), ("Mem", memory)))
+    # Braces and line ends would end the segment early in every later line that quotes this tag.
     if len(text) > MAX_TAG_TEXT or set(text) & set("{}\r\n"):
         return failed
+    # The manual erases with the text that an empty tag reports (10.9.7).
     texts[number] = "" if text == EMPTY_MEMORY else text
     return Message("RES", (*echo, ("Status", STATUS_OK)))

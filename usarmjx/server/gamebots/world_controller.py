@@ -66,8 +66,10 @@ def set_path(world: ServedWorld, index: int, command: Control) -> None:
         motion.progress = min(motion.progress, motion.length)
     for field in ("move", "reset"):
         given = getattr(options, field)
+        # An absent option keeps its former value: None and False mean different things here.
         if given is not None:
             setattr(motion, {"move": "moving", "reset": "resets"}[field], given)
+    # After the points: a Time is turned into a speed by the length of the new path.
     motion.speed = _speed(motion, options)
     if options.align is not None:
         motion.aligned = options.align
@@ -115,6 +117,7 @@ def rotate(world: ServedWorld, index: int, command: Control) -> None:
     if command.spin is None:
         raise PeerError("Rotate needs a Speed of three numbers")
     name, row = _key(world, index), world.loose_poses()[index]
+    # A move to its present pose refuses here, in a world without moved objects, before anything is stored.
     world.move_loose(index, _vec3(row[:3]), row[3:])
     motion = world.motions.get(name, ObjectMotion())
     spin = np.array(flip_wire_angles(command.spin))
@@ -234,6 +237,7 @@ class WorldController:
         row = self._world.loose_poses()[index]
         size, (location, rotation) = self._size(index, row[3:]), wire_pose(row[:3], row[3:])
         return [
+            # A name with blanks would be read as several words by clients.
             ("Name", "_".join(name.split()) or "_"),
             ("Size", four_decimals_list((size[0], size[1], -size[2]))),
             ("Location", four_decimals_list(location)),
@@ -320,6 +324,7 @@ class WorldController:
         """Remove all created objects that are not permanent, or only those between two corners."""
         world, poses = self._world, self._world.loose_poses()
         ends = None if corners is None or corners[0] == corners[1] else corners
+        # Names and poses are taken once before: each removal shifts the indices of the objects behind it.
         for name, row in zip(self._names(), poses, strict=True):
             about = world.created.get(name, ARENA_OBJECT)
             place = flip_wire_vector(row[:3])
@@ -347,6 +352,7 @@ class WorldController:
         quat = np.asarray(quat_from_angles(roll, pitch, yaw))
         if index is not None:
             world.move_loose(index, place, quat)
+            # Otherwise the next step of its rotation would turn it back.
             if command.name.lower() in world.motions:
                 world.motions[command.name.lower()].angles = turn
         elif robot is not None:

@@ -100,6 +100,7 @@ def make_object(class_name: str, name: str, at: Vec3, rotation: Vec3, scale: Vec
     x, y, z = (length * factor for length, factor in zip(lengths, scale, strict=True))
     if not all(SMALLEST <= length <= LARGEST for length in (x, y, z)):
         raise PeerError(f"Scale makes a side shorter than {SMALLEST:g} m or longer than {LARGEST:g} m")
+    # Equal density: the mass grows with the volume.
     mass = MASS * scale[0] * scale[1] * scale[2]
     half = (x / 2, y / 2, z / 2)
     box = Shape(kind="box", size=half, mass=mass, surface="loose", rgba=CARDBOARD)

@@ -64,6 +64,7 @@ def parse_address(text: str) -> IPAddress:
     Raises:
         ValueError: The text is no address.
     """
+    # A link-local peer comes as fe80::1%eth0; no network of a rule has a zone.
     address = ipaddress.ip_address(text.partition("%")[0])
     return getattr(address, "ipv4_mapped", None) or address
 
@@ -77,6 +78,7 @@ def parse_networks(texts: Iterable[str]) -> tuple[IPNetwork, ...]:
     networks: list[IPNetwork] = []
     for part in (part.strip() for text in texts for part in text.split(",")):
         try:
+            # Not strict: 10.0.0.7/8 means the network around that address.
             networks.append(ipaddress.ip_network(part, strict=False))
         except ValueError as error:
             raise UsageError(

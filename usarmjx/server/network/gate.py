@@ -55,6 +55,7 @@ class Gate:
         try:
             found = parse_address(address)
         except ValueError:  # it has gone already
+            # A peer without an address cannot be counted out later.
             return False
         if not self.rules.allows(found):
             self.refuse(address, "it is not in --allow")
@@ -75,6 +76,7 @@ class Gate:
         found = parse_address(address)
         self._counts[found] -= 1
         if not self._counts[found]:
+            # Zero counts of every address that ever came would pile up.
             del self._counts[found]
 
     def refuse(self, peer: str, reason: str) -> None:
@@ -90,6 +92,7 @@ class Gate:
         Peers that never send either must neither keep others from it nor take all file descriptors.
         """
         if len(self._strangers) >= MAX_STRANGERS:
+            # Aborted, not closed: closing would wait for a peer that reads nothing.
             self._strangers.pop(0).abort()
         self._strangers.append(transport)
 
@@ -137,6 +140,8 @@ def guarded(gate: Gate, handler: Handler, ends: bytes | None = LINE_ENDS) -> Han
             connection = writer.get_extra_info("socket")
             keep_alive(connection)
             if ends is None or await gate.is_known(reader, writer, ends):
+                # From the token on the client's own budget bounds its work, and the meter would count it
+                # twice.
                 with exempt(connection.fileno()):
                     await handler(reader, writer)
             else:
@@ -183,6 +188,7 @@ async def _read_line(reader: asyncio.StreamReader, ends: bytes) -> str:
             raise PeerError("it has hung up")
         if byte not in ends:
             line += byte
+        # Blank lines before the token are skipped: an end of line before may have left its second byte.
         elif line.strip():
             break
         if not AUTH.encode().startswith(line.lstrip()[: len(AUTH)].upper()):

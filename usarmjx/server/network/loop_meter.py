@@ -50,6 +50,7 @@ class LoopMeter:
     def refill(self, period: float) -> None:
         """Begin a control step of some simulated time [s]: an unspent rest is lost, a debt stays."""
         growth = self._share * period
+        # The debt is bounded, so that one long handshake does not shut all others out for seconds.
         self._left = growth + min(0.0, max(self._left, -MOST_DEBT * growth))
 
     def exclude(self, cost: float) -> None:
@@ -68,6 +69,7 @@ class LoopMeter:
     def begin_round(self, has_events: bool) -> None:
         """Begin a round of the loop, with metered events or without."""
         if has_events:
+            # The tasks that an event wakes run in later rounds, not in the one of its callback.
             self._rounds = ROUNDS
         self._began, self._excluded = self._clock(), 0.0
 
@@ -75,6 +77,7 @@ class LoopMeter:
         """Count the round if it may belong to a metered event."""
         if self._rounds:
             self._rounds -= 1
+            # Never negative: excluded work may have been measured by a coarser clock.
             self._left -= max(0.0, self._clock() - self._began - self._excluded)
 
     def exempt(self, descriptor: int) -> None:
@@ -120,8 +123,10 @@ class MeteredSelector(selectors.BaseSelector):
         if key.fd in self._keys:
             raise KeyError(f"{fileobj!r} (FD {key.fd}) is already registered")
         if self._own < 0:
+            # asyncio registers its self-pipe first: held back, it could not wake a sleeping loop.
             self._own = key.fd
         self._keys[key.fd] = key
+        # A socket that comes while others are held back is held, too, or it would pass them.
         if self._holds and self._is_metered(key.fd):
             self._held.add(key.fd)
         else:
@@ -141,6 +146,7 @@ class MeteredSelector(selectors.BaseSelector):
         """Change the events of a file, or its data."""
         before = self._keys[_descriptor(fileobj)]
         key = self._keys[before.fd] = selectors.SelectorKey(fileobj, before.fd, events, data)
+        # A held file gets its new events when it is registered with the system again.
         if events != before.events and key.fd not in self._held:
             self._inner.modify(key.fd, events)
         return key
@@ -149,6 +155,7 @@ class MeteredSelector(selectors.BaseSelector):
         """Wait for events; return those of exempt files, and a few others."""
         self.meter.end_round()
         self._hold_back(self.meter.is_spent)
+        # The keys of our own table: the system's have no data, which asyncio needs to find its callbacks.
         ready = [(self._keys[key.fd], events) for key, events in self._inner.select(timeout)]
         metered = [one for one in ready if self._is_metered(one[0].fd)]
         if len(metered) > EVENTS_AT_ONCE:
@@ -196,6 +203,7 @@ class MeteredSelector(selectors.BaseSelector):
 
     def _chosen(self, keys: Collection[selectors.SelectorKey]) -> list[selectors.SelectorKey]:
         """Return the files whose turn it is: some preferred ones, then those that have waited longest."""
+        # Sockets without a turn so far come first.
         waiting = sorted(keys, key=lambda key: self._turns.get(key.fd, 0))
         first = [key for key in waiting if self.meter.is_preferred(key.fd)]
         rest = [key for key in waiting if not self.meter.is_preferred(key.fd)]
@@ -205,6 +213,7 @@ class MeteredSelector(selectors.BaseSelector):
 
     def _note_turns(self, keys: Collection[selectors.SelectorKey]) -> None:
         self._turn += 1
+        # Descriptors are reused and never reported as closed, so the table is emptied at times.
         if len(self._turns) > MOST_REMEMBERED:
             self._turns.clear()
         self._turns.update((key.fd, self._turn) for key in keys)

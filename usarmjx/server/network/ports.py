@@ -54,6 +54,8 @@ class ListeningSocket(socket.socket):
         Raises:
             BlockingIOError: There is none, or it is the turn of others.
         """
+        # asyncio accepts in a loop until it would block; the rest is told at the next round, as epoll is
+        # level-triggered.
         if self._count >= ACCEPTS_AT_ONCE:
             self._count = 0
             raise BlockingIOError(errno.EAGAIN, "others come first")
@@ -81,6 +83,7 @@ def most_descriptors() -> float:
     if resource is None:
         return math.inf
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    # A small limit is shared, not eaten up, by the reserve.
     return math.inf if limit == resource.RLIM_INFINITY else limit - min(RESERVE, limit // 4)
 
 
@@ -106,6 +109,7 @@ def count_up(first: Mapping[str, int], worlds: int, offset: int = 0) -> list[dic
     for _ in range(worlds - 1):
         latest = dict(latest)
         for option, port in latest.items():
+            # Free ports, given as 0, never have an owner, and stay 0.
             while port in owners:
                 port += 1
             _claim(owners, option, port)
@@ -192,6 +196,7 @@ def may_dial(address: str, port: int) -> bool:
         address: IP address of the peer to dial.
         port: Its port.
     """
+    # Closed sockets stay in the set until they are collected; their descriptor is -1.
     own = {bound.getsockname()[1] for bound in _bound_sockets if bound.fileno() >= 0}
     return port >= FIRST_DIALLED and not (port in own and _is_ours(address))
 
@@ -200,6 +205,7 @@ def _is_ours(address: str) -> bool:
     """Return whether an IP address is one of this machine's: only those can be bound."""
     with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
+            # UDP binds without a connection, so the test disturbs no service of that address.
             probe.bind((address, 0))
         except OSError:
             return False

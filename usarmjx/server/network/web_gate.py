@@ -53,6 +53,7 @@ class _CurrentHttpConnection(ServerConnection, asyncio.BufferedProtocol):
     def get_buffer(self, sizehint: int) -> bytearray:
         """Return the room for the next bytes."""
         del sizehint
+        # One buffer for the connection: its bytes are copied out before the next ones come.
         self._buffer = self._buffer or bytearray(READ_SIZE)
         return self._buffer
 
@@ -64,6 +65,7 @@ class _CurrentHttpConnection(ServerConnection, asyncio.BufferedProtocol):
     def data_received(self, data: bytes) -> None:
         if self._head is not None:  # the request line has not come yet
             self._head += data
+            # The version stands at the end of the request line, which may come in pieces.
             if b"\n" not in self._head and len(self._head) < MAX_REQUEST_LINE:
                 return
             data, self._head = as_current_http(self._head), None
@@ -90,6 +92,7 @@ def gated_connection(gate: Gate) -> type[ServerConnection]:
 
         async def handshake(self, *options: Any, **more: Any) -> None:  # noqa: ANN401 - websockets' own
             await super().handshake(*options, **more)
+            # An answered HTTP request is no websocket: it stays a stranger until it closes.
             if self.protocol.state is State.OPEN:
                 gate.remove_stranger(self.transport)
 
@@ -123,6 +126,7 @@ def asking_token(gate: Gate, answer: RequestAnswer) -> RequestAnswer:
     """
 
     def answer_known(connection: ServerConnection, request: Request) -> Response | None:
+        # The token is cut off here: the answer, its logs and its links see the path alone.
         path, _, query = request.path.partition("?")
         given = next((part for part in query.split("&") if part.startswith(TOKEN_QUERY)), "")
         has_token = gate.rules.knows(unquote(given.removeprefix(TOKEN_QUERY)))
@@ -148,6 +152,7 @@ def is_own_page(request: Request) -> bool:
     Browsers add the Origin of the page; `for_own_names` has checked that there is one Host header.
     """
     host = request.headers.get_all("Host")
+    # A page of a foreign scheme may name the same host and port: only that part is compared.
     return all([origin.partition("://")[2]] == host for origin in request.headers.get_all("Origin"))
 
 
@@ -245,9 +250,11 @@ async def listen_for_websockets(
         return await serve(
             accept,
             sock=bound,
+            # Names first: a rebound name must not learn whether a token is right.
             process_request=for_own_names(names, asking_token(gate, answer)),
             create_connection=gated_connection(gate),
             max_size=max_size,
+            # Compression costs processor time of the loop, and memory for each connection.
             compression=None,
             max_queue=MAX_QUEUE,
         )

@@ -81,6 +81,7 @@ class Serving(contextlib.AbstractContextManager["Serving"]):
         """Stop serving; a second call does nothing."""
         if self._loop is not None and self._all is not None:
             with contextlib.suppress(RuntimeError):  # it has ended meanwhile
+                # An asyncio.Event may only be set in the loop's own thread.
                 self._loop.call_soon_threadsafe(self._all.stop)
         self._thread.join()
 
@@ -98,6 +99,7 @@ class Serving(contextlib.AbstractContextManager["Serving"]):
         except BaseException as error:
             self._fault.append(error)
         finally:
+            # Also after a fault: the starter waits for this event and then raises what happened.
             self._held.close()
             self._listening.set()
 
@@ -161,6 +163,7 @@ def serve(
         ]
         for server in servers:
             server.world.warm_up()
+        # The sockets now belong to the running server, and survive the end of this context.
         return Serving(servers, realtime_factor, held.pop_all())
 
 

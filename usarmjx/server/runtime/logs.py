@@ -64,8 +64,11 @@ class SecretFilter(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         """Redact a record; return True."""
         message = record.getMessage()
+        # Checked on the formatted message: a token may stand in an argument.
         if (shown := redact(message)) != message:
             record.msg, record.args = shown, ()
+        # Filled in here, as a formatter uses exc_text if it is there: it would print the traceback
+        # unredacted.
         if record.exc_info and not record.exc_text:
             record.exc_text = logging.Formatter().formatException(record.exc_info)
         if record.exc_text:
@@ -95,10 +98,13 @@ class LibraryLimit(logging.Filter):
         """Return whether a record is logged, after shortening it."""
         if record.levelno < logging.WARNING:
             return True
+        # The unformatted text tells kinds apart; with addresses filled in every line would be a new kind.
         kind = str(record.msg).partition("\n")[0][:MAX_KIND]
+        # The table is bounded: beyond it all new kinds share one limit.
         if kind not in self._limits and len(self._limits) >= MAX_KINDS:
             kind = ""
         limit = self._limits.setdefault(kind, LineLimit(1, self._interval, self._clock))
+        # Before `admits`, which begins a new interval.
         count = limit.take_left_out()
         if not limit.admits():
             return False
@@ -106,6 +112,7 @@ class LibraryLimit(logging.Filter):
         told = f": {type(reason).__name__}" if reason is not None else ""
         more = f" ({count} more since the last such line)" if count else ""
         first = (record.getMessage().splitlines() or [""])[0]
+        # Without arguments logging does not format again, so a % in the text does no harm.
         record.msg, record.args = f"{first[:MAX_LOG_LINE]}{told}{more}", ()
         record.exc_info = record.exc_text = None
         return True
@@ -124,6 +131,7 @@ def configure_log(*, verbose: bool = False, as_json: bool = False) -> None:
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger(PACKAGE).setLevel(logging.INFO if verbose else logging.WARNING)
     limit_libraries()
+    # At the handlers: a logger's filter does not see what its children log.
     for handler in logging.getLogger().handlers:
         if not any(isinstance(one, SecretFilter) for one in handler.filters):
             handler.addFilter(SecretFilter())

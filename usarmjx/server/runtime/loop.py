@@ -99,6 +99,7 @@ class StepMeter:
 
     def realtime_factor(self, now: float) -> float:
         """Return the recent simulated seconds per second at a time [s]; 0 before the first sample."""
+        # The factor needs two different times; a division by zero would fail a request for metrics.
         if not self._samples or now <= self._samples[0][0]:
             return 0.0
         began, start = self._samples[0]
@@ -128,10 +129,12 @@ class Pace:
         """Return the wait until the next control step [s], after one that ended at a time [s]."""
         if self._period <= 0.0:
             return 0.0
+        # From the last deadline, not from now: oversleeping must not accumulate.
         self._deadline += self._period
         behind = now - self._deadline
         if behind > MAX_LAG:
             self._give_up(now, behind)
+        # A comparison with NaN is false: without a lag so far there is nothing to finish.
         elif behind <= 0.0 and now >= self._gave_up + RECOVERY:
             self.finish(now)
         return max(0.0, -behind)
@@ -140,6 +143,7 @@ class Pace:
         if math.isnan(self._fell_behind):
             self._fell_behind = now
             log.warning("%.2f s behind the clock: simulated time falls back", behind)
+        # The schedule starts anew from now, so lost time is never made up by running fast.
         self._gave_up = self._deadline = now
         self._lost += behind
 
@@ -203,6 +207,7 @@ class StepClock:
         if not (math.isfinite(factor) and 0.0 <= factor <= MAX_FACTOR):
             raise UsageError(f"a real-time factor of {factor:g} is not possible: 0 to {MAX_FACTOR:g}")
         with self._lock:
+            # A new schedule: the old one's deadlines belong to another speed.
             self._factor, self._pace = factor, None
 
     def takes_step(self) -> bool:
@@ -210,6 +215,7 @@ class StepClock:
         with self._lock:
             if self._paused and not self._steps:
                 return False
+            # Paused counts as 1: only then is a single step used up.
             self._steps -= self._paused
             return True
 
@@ -222,6 +228,7 @@ class StepClock:
         """
         with self._lock:
             if self._paused:
+                # The time of a pause is no lag to catch up after it.
                 self._pace = None
                 return IDLE_PERIOD
             if self._pace is None:
@@ -290,6 +297,7 @@ class ServerLoop:
     def _times_up(self, served: float) -> bool:
         """Return whether the time limit is reached, after some time of serving [s of simulated time]."""
         limit = self._servers[0].settings.time_limit
+        # Half a step as margin: the time is a sum of floats, and would end a step late.
         return limit > 0 and served >= 60 * limit - self._servers[0].world.period / 2
 
     def _announcement(self, server: BotServer, lines: Sequence[str]) -> Sequence[str]:
@@ -302,9 +310,12 @@ class ServerLoop:
         while not self._stop.is_set() and not self._times_up(world.time - start):
             moves = self._clock.takes_step()
             for number, server in enumerate(self._servers):
+                # Sockets are read between two worlds, too: a round over many worlds is longer than a turn may
+                # wait.
                 if number:
                     await asyncio.sleep(0)
                 self._tick(server, moves, meter)
+            # Once in a round: the meter shares one thread's time among all worlds.
             meter.refill(world.period)
             self._clean(time.perf_counter())
             await self._clock.sleep(world.period)
@@ -319,6 +330,7 @@ class ServerLoop:
 
     def _clean(self, now: float) -> None:
         """Collect old objects if it is time [s], and if `low_latency` has put that off."""
+        # With Python's own thresholds it collects by itself, and a second collection would only cost time.
         if now >= self._clean_at and gc.get_threshold()[2] == GC_THRESHOLD:
             began = time.thread_time()
             gc.collect()
@@ -342,6 +354,7 @@ def low_latency() -> Generator[None]:
     """
     switch_interval, thresholds = sys.getswitchinterval(), gc.get_threshold()
     sys.setswitchinterval(SWITCH_INTERVAL)
+    # What exists now, most of it JAX's, is never looked at again by a collection.
     gc.freeze()
     gc.set_threshold(*thresholds[:2], GC_THRESHOLD)
     try:
@@ -369,6 +382,7 @@ def serve(servers: Sequence[BotServer], clock: StepClock | float, signals: StopS
         signals.on_stop(partial(_call_soon, asyncio.get_running_loop(), loop))
         await loop.run()
 
+    # Compiled before the ports open: a client that connects early would wait for it within the loop.
     for server in servers:
         server.world.warm_up()
     with low_latency():

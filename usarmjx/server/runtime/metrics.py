@@ -153,6 +153,7 @@ class MetricsServer:
         for server, meter in zip(servers, self._meters, strict=True):
             server.services.append(meter)
         self._factor, self._bound = factor, bound
+        # One of its own: the global registry refuses the same metrics for a second server of this process.
         self._registry = CollectorRegistry()
         own = range(len(servers)) if numbers is None else numbers
         self._registry.register(WorldCollector(dict(zip(own, self._meters, strict=True))))
@@ -195,6 +196,7 @@ class MetricsServer:
         """
         now = time.perf_counter()
         factors = [meter.realtime_factor(now) for meter in self._meters]
+        # With a factor of 0 no speed is wanted, and nothing is ever behind.
         behind = min(factors) < IN_TIME * self._factor
         late = max(map(recording_lag, self._meters)) > MAX_RECORDING_LAG
         return {

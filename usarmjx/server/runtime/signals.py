@@ -61,6 +61,7 @@ def end_with_parent() -> None:
 
     Its own child processes do not inherit the pipe.
     """
+    # Removed, so that a grandchild does not take the descriptor's number for its own.
     pipe = os.environ.pop(PARENT_PIPE, None)
     if pipe is not None:
         threading.Thread(target=_outlive_nobody, args=(int(pipe),), daemon=True).start()
@@ -69,6 +70,7 @@ def end_with_parent() -> None:
 def _outlive_nobody(pipe: int) -> None:
     """End this process when the one at the other end of a pipe has ended."""
     with contextlib.suppress(OSError):
+        # Returns at the end of file, which the system makes when the last writer has ended, even by SIGKILL.
         os.read(pipe, 1)
     os.kill(os.getpid(), signal.SIGTERM)
 
@@ -114,6 +116,7 @@ class StopSignals:
     def on_stop(self, stop: Callable[[], None]) -> None:
         """Set the function that a signal calls from now on, in a thread; the exit code is 0 then."""
         self._stop = stop
+        # A signal that came before this call has found no function to call.
         if self.number:
             stop()
 
@@ -125,8 +128,11 @@ class StopSignals:
         """Watch for signals from now on."""
         if threading.current_thread() is threading.main_thread():
             heard, wakeup = socket.socketpair()
+            # set_wakeup_fd demands it: the C handler must not wait.
             wakeup.setblocking(False)
             before = signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
+            # Callbacks run in reverse: handlers first, and the socket last, when no signal writes to it any
+            # more.
             self._undo.callback(wakeup.close)  # which ends the thread
             self._undo.callback(signal.set_wakeup_fd, before)
             for number in self._numbers:
@@ -164,6 +170,7 @@ class StopSignals:
             if self._finish is not None:
                 finishing = threading.Thread(target=self._finish, daemon=True)
                 finishing.start()
+                # Bounded and in a daemon thread: a disk that hangs must not keep the process.
                 finishing.join(FILES_TIME)
             if stop is None:
                 _end_unfinished(self.number)
@@ -184,6 +191,7 @@ def exit_now(code: int) -> None:
     with contextlib.suppress(RuntimeError):  # the interpreter is at its end, and starts no more threads
         flush.start()
         flush.join(FLUSH_TIME)
+    # sys.exit would join threads, among them one of JAX that compiles.
     os._exit(code)
 
 

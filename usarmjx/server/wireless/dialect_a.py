@@ -139,6 +139,7 @@ def normalize_address(text: str) -> str:
         address = ipaddress.ip_address("127.0.0.1" if text.lower() == "localhost" else text.partition("%")[0])
     except ValueError as error:
         raise Refusal(INCORRECT) from error
+    # A dual-stack socket reports IPv4 peers as ::ffff:1.2.3.4, and clients register the plain form.
     mapped = getattr(address, "ipv4_mapped", None)
     return str(mapped or address)
 
@@ -195,10 +196,12 @@ class ComServer:
         if address != caller and address not in self._allowed:
             raise Refusal(f"Address {ask.address} is not yours")
         known = self._registrations.get(ask.name)
+        # A name may move to another address once its robot has been in the world and left: its owner is gone.
         if known and known.address != address and not self._has_left(ask.name):
             raise Refusal(f"Robot with name {ask.name} already registered")
         if not known and len(self._registrations) >= MAX_REGISTRATIONS:
             self._make_room()
+        # Registering again at the same address must not forget ports that listen.
         if not known or known.address != address:
             self._forget(ask.name)
             self._registrations[ask.name] = Registration(address, caller)
@@ -234,12 +237,14 @@ class ComServer:
             raise Refusal(f"Cannot connect to {ask.host}")
         if ask.name not in self._registrations or self._is_full(ask):
             raise Refusal(NO_CONNECTION)
+        # The caller's own end needs no LISTEN, by the in-engine server; another's port does.
         if not self._owns(caller, ask.name) and not self._listens(ask.name, ask.port):
             raise Refusal(f"{ask.name} not listening on port {ask.port}")
         endpoints = EndpointPair(
             Endpoint(ask.name, self._registrations[ask.name].address, ask.port),
             Endpoint(ask.host, self._registrations[ask.host].address, ask.host_port),
         )
+        # Taken before the connection is made: a second OPEN in between must not get the same port.
         self._listening[ask.host].remove(ask.host_port)
         self._links.update(endpoints.names)
         return endpoints
@@ -249,6 +254,7 @@ class ComServer:
         if not done:
             self.closed(endpoints)
             ports = self._listening.get(endpoints.second.name)
+            # The robot may have registered anew, or listened again, while the server dialled.
             if ports is not None and endpoints.second.port not in ports:
                 ports.append(endpoints.second.port)
 
@@ -386,6 +392,7 @@ class DataLinkParser:
         self.phase = phase
 
     def _word(self, data: bytes, at: int) -> int:
+        # Line ends between messages are allowed, as typed in a terminal; within a word they are not.
         while not self._kept and at < len(data) and data[at] in b"\r\n":
             at += 1
         end = at + WORD_SIZE - len(self._kept)
@@ -399,6 +406,7 @@ class DataLinkParser:
         byte = data[at : at + 1]
         if byte.isdigit():
             self._kept += byte
+            # Checked digit by digit: an announced length must not be stored before it is known to be allowed.
             if len(self._kept) > MAX_LENGTH_DIGITS or int(self._kept) > self._most:
                 raise PeerError(f"a message of more than {self._most} bytes is announced")
         elif byte == b" " and self._kept:
@@ -420,6 +428,7 @@ class DataLinkParser:
         return at + len(piece)
 
     def _trailer(self, data: bytes, at: int) -> int:
+        # The byte itself does not matter: any one ends a payload, whose length is known.
         del data
         self._messages.append(bytes(self._kept))
         self._kept.clear()
@@ -540,6 +549,7 @@ class DialectASession:
         return data
 
     def _append(self, piece: bytes) -> None:
+        # Too long: the rest up to `;` is dropped, and one refusal answers the whole message.
         if len(self._pending) + len(piece) > MAX_MESSAGE_SIZE:
             self._pending.clear()
             self._skipping = True

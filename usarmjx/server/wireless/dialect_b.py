@@ -126,6 +126,8 @@ class Switchboard:
 
     def join(self, name: str, address: str, ports: tuple[int, ...]) -> None:
         """Add a participant."""
+        # Ports of the server itself are dropped without an answer: a forward to them would open its inside to
+        # peers.
         ports = tuple(port for port in ports if self._may_dial(address, port))
         self._participants[name] = Participant(address, ports, self._now(), seen=self.radio.has_robot(name))
 
@@ -162,8 +164,10 @@ class Switchboard:
             port = self._allocate(route) if room else None
             if port is None:
                 return None
+            # A route keeps its port while its caller is here: clients cache the answer of DNS.
             self._forwarded_ports[route] = ForwardedPort(port)
         forwarded = self._forwarded_ports[route]
+        # Opened at once, not with the next poll: the caller connects right after the answer.
         if not forwarded.is_open and self._is_carried(route):
             forwarded.is_open = True
             self._opened.append(route)
@@ -199,6 +203,7 @@ class Switchboard:
 
     def may_call(self, route: Route, address: str) -> bool:
         """Return whether a connection from an address to a route's port is accepted now."""
+        # Recounted from the connections: a counter of its own could drift when a peer vanishes.
         count = Counter(name for other in self._connections.values() for name in (other.caller, other.callee))
         return (
             self.is_open(route)
@@ -231,6 +236,7 @@ class Switchboard:
         if robot is not None and not robot.battery_empty:
             participant.seen = True
             return False
+        # With an empty battery it is gone at once; a robot that never came has its time to enter the world.
         return robot is not None or participant.seen or self._now() - participant.since > JOIN_TIMEOUT
 
 
@@ -322,6 +328,7 @@ class DialectBSession:
             if verb not in TRANSITIONS[self.phase]:
                 raise _Error(WRONG_PHASE_REASONS[self.phase])
             answer = self._answers[verb](values)
+            # After the answer: a refused INIT leaves the connection where it was.
             self.phase = TRANSITIONS[self.phase][verb]
         except _Error as error:
             answer = Message("ERROR", (("Reason", str(error)),))
@@ -347,6 +354,7 @@ class DialectBSession:
             strength, error = "NaN", "Robot.Does.Not.Exist"
         elif power == float("inf"):
             strength, error = "INF", "Model.Returned.INF"
+        # `not power <= 0` is true for NaN, too.
         elif power is None or not power <= 0:
             strength, error = "NaN", "Model.Returned.NaN"
         else:
