@@ -219,6 +219,16 @@ def test_rays_without_a_direction_meet_nothing():
     np.testing.assert_array_equal(found.geom_index[aimed], whole.geom_index[aimed])
 
 
+def test_triangles_that_are_culled_by_boxes_are_met():
+    """As panes of pictures are, all of which are."""
+    rng = np.random.default_rng(1)
+    seen, (start, along) = indexed_blocks(geoms_of(TRIANGLE_KIND, rng, 40)), rays_at(rng, 64)
+    boxed = [part._replace(info=part.info._replace(compact=False)) for part in seen]
+    plain = brute_force_hits(seen, start, along)
+    np.testing.assert_array_equal(warp_hits(boxed, (start, along)).geom_index, plain.geom_index)
+    assert (plain.geom_index >= 0).any()
+
+
 @pytest.mark.parametrize("incidence", [False, True])
 def test_fixed_geoms_are_met_among_those_of_each_world(incidence):
     """Walls that all worlds share, of two kinds, and what is in each of them; they are packed once."""

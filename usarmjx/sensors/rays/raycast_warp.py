@@ -574,7 +574,7 @@ def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
     radius = bounding_radius(info.kind, size) if info.compact else none
     middle, half = bounding_box(info.kind, size)
     # A box about another point than the geom's position, as a triangle's, gives way to the sphere's.
-    half = jnp.stack(half if middle is None else [radius] * 3, -1)
+    half = jnp.stack(half if middle is None else [bounding_radius(info.kind, size)] * 3, -1)
     place = info.first_index + np.arange(info.num_geoms)
     rows = (block.pos, *(block.mat[:, i] for i in range(3)), block.size, half)
     last = (radius, block.owner, none + info.kind, place, none, none)
