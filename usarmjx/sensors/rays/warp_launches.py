@@ -19,7 +19,7 @@ from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, merge_vmaps
 BLOCK_DIM = 64
 """Threads of a block."""
 MAX_THREADS = 2**31 - 1
-"""Largest number of threads of a launch, which kernels index with 32 bits."""
+"""Largest number of threads of a launch, and of its results, which kernels index with 32 bits."""
 UNLIMITED_DISTANCE = 3e38
 """Finite stand-in for an unlimited range, as misses are infinitely far."""
 
@@ -97,7 +97,7 @@ def nearest_of_bundles(
         least_cosines: See `raycast.RayQuery`.
 
     Raises:
-        UsageError: The vmapped launch needs more than `MAX_THREADS` threads.
+        UsageError: The vmapped launch needs more than `MAX_THREADS` threads or results.
     """
     given = (rays.pos, rays.mat) if isinstance(rays, Fans) else rays
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
@@ -120,10 +120,11 @@ def nearest_of_bundles(
         arrays = [*(x.reshape(-1, 4) for x in geoms), *world, exclude, wanted]
         arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans or rays of all casts on one axis
         threads = casts * launch.warps * MAX_BUNDLE
-        if threads > MAX_THREADS:
+        needed = max(threads, casts * count)
+        if needed > MAX_THREADS:
             raise UsageError(
-                f"{casts:,} casts of {count:,} rays each need {threads:,} threads of a GPU at once, "
-                f"at most {MAX_THREADS:,}: fewer worlds"
+                f"{casts:,} casts of {count:,} rays each need {needed:,} threads or results of a GPU at "
+                f"once, at most {MAX_THREADS:,}: fewer worlds"
             )
         kernel = _kernel(launch.name)
         found = kernel(*arrays, *launch.given, output_dims=casts * count, launch_dims=threads)
