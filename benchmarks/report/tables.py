@@ -74,6 +74,7 @@ def _scene_words(record: BenchRecord) -> str:
     extra = [word for word in ("radio",) if case.get(word)]
     extra += [word for word in physics_words(case) if word != "reference"]
     extra += [f"graphs {case['graph']}"] if case.get("graph", "step") != "step" else []
+    extra += [record.data["variant"]] if "variant" in record.data else []
     return ", ".join([arena, *extra])
 
 
@@ -186,7 +187,7 @@ def camera_table(records: Sequence[BenchRecord]) -> str:
     def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
         yield [
             f"{record.case['worlds']} x {record.roster}",
-            record.case["arena"],
+            _scene_words(record),
             f"{record.case['width']} x {record.case['height']}",
             number(record.data["frames_per_s"]),
             ", ".join(number(one["frames_per_s"]) for one in record.data["peer"] or ()) or "-",
