@@ -61,6 +61,7 @@ def unseal(content: bytes, key: str) -> bytes:
 
 
 def _checksum(data: bytes, key: str) -> bytes:
+    # The key is part of the checksum: a whole file under another's name does not pass.
     found = hashlib.blake2b(key.encode() + b"\0", digest_size=CHECKSUM_SIZE)
     found.update(data)
     return found.digest()
@@ -120,14 +121,17 @@ class LoadingEntries:
     def _note(self, change: Callable[[str], None], path: Path) -> None:
         with self._lock, suppress(OSError):  # a full disk does not stop a start
             change(str(path))
+            # A forked child has its parent's descriptor and needs a file of its own.
             if self._process != os.getpid():
                 self._open()
             text = "\n".join(self._paths).encode()
+            # Written through the descriptor, unbuffered: it must be in the file if the next call crashes.
             os.ftruncate(self._file, 0)
             os.pwrite(self._file, text, 0)
 
     def _open(self) -> None:
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # Home folders may be shared by machines, whose process numbers mean nothing to each other.
         path = self._folder / f"{socket.gethostname()}-{os.getpid()}"
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         self._process = os.getpid()
@@ -152,6 +156,7 @@ def remove_entries_of_crashes(folder: Path, cache: Path) -> list[str]:
     removed = list[str]()
     for note in (folder / LOADING_FOLDER).glob(f"{socket.gethostname()}-*"):
         number = note.name.rpartition("-")[2]
+        # Processes that end orderly remove their note: one without a process is of a crash.
         if not number.isdecimal() or _is_alive(int(number)):
             continue
         with suppress(OSError, ValueError):
@@ -201,6 +206,7 @@ def check_warp_folder(folder: Path) -> list[str]:
 
 def seal_warp_folder(folder: Path) -> None:
     """List the checksums of Warp's compiled modules that have none; see `check_warp_folder`."""
+    # Checksums of what a process has compiled are written when it ends: Warp has no hook for it.
     for module in folder.glob("*/wp_*"):
         with suppress(OSError, ValueError, WriteError):
             sums = module / SUMS_FILE
@@ -239,6 +245,7 @@ def guard_jax(module: Any, loading: LoadingEntries, own: Path) -> None:  # noqa:
         usual, load = module.LRUCache, module.get_executable_and_time
         checked = _checked_cache(usual, own)
     except AttributeError:
+        # Entries without checksums might be half written: no cache is safer.
         module.config.config.update("jax_compilation_cache_dir", None)
         warnings.warn("this version of JAX keeps no compilations: its cache has no checksums", stacklevel=2)
         return
@@ -368,4 +375,5 @@ def _after_import(name: str, call: Callable[[Any], None]) -> None:
     if name in sys.modules:
         call(sys.modules[name])
     else:
+        # Importing JAX here would cost commands that never need it seconds.
         sys.meta_path.insert(0, _AfterImport(name, call))

@@ -124,18 +124,21 @@ def writable_by_others(folder: Path) -> str | None:
     """
     if os.name != "posix":
         return None
+    # Links are resolved first: the parents that count are those of the real folder.
     folder = Path(os.path.realpath(folder))
     for path in (folder, *(folder / kind for kind in CACHE_KINDS)):
         try:
             found = path.stat()
         except FileNotFoundError:
             continue
+        # Root is trusted: it could replace this program, too.
         if found.st_uid not in (os.geteuid(), 0):
             return f"{path} belongs to another user"
         if found.st_mode & OTHERS_WRITE:
             return f"others may write to {path}: chmod -R go-w {path}"
     for path in folder.parents:
         mode = path.stat().st_mode if path.exists() else 0
+        # The sticky bit, as of /tmp, keeps others from renaming what is not theirs.
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
             return f"anybody may rename the files in {path}: chmod o-w {path}"
     return None
@@ -164,6 +167,7 @@ def enable_compilation_cache(
         programs = folder / "jax" / (processor() + ("-cores" if pool_fits_cores() else ""))
         for place in (folder, folder / "jax", folder / "programs", folder / "warp", programs):
             place.parent.mkdir(parents=True, exist_ok=True)
+            # Only the folders of the cache are private; parents such as ~/.cache keep the usual mode.
             place.mkdir(mode=0o700, exist_ok=True)
         # Fails here, not at the first compilation, where the folder is read-only or the disk is full.
         with tempfile.TemporaryFile(dir=programs):
@@ -172,6 +176,7 @@ def enable_compilation_cache(
         prune_cache(folder, max_bytes)
     except (OSError, RuntimeError) as error:
         return f"compilations are not kept, the next start will take as long: {error}"
+    # After everything that can fail: variables of a folder that cannot be used would mislead children.
     environment.setdefault(JAX_FOLDER, str(programs))
     environment.setdefault(PROGRAMS_FOLDER, str(folder / "programs" / processor()))
     environment.setdefault(*MIN_COMPILE_TIME)
@@ -199,6 +204,7 @@ def enable_cache_after_import() -> None:
     if complaint := enable_compilation_cache():
         logging.getLogger(__name__).warning("%s", complaint)
     folder, settings = os.environ.get(JAX_FOLDER), cast(Any, jax.config)
+    # A folder that the program has set for itself stays.
     if folder is None or not os.environ.get(PROGRAMS_FOLDER) or settings.jax_compilation_cache_dir:
         return
     if not is_guarded(sys.modules.get(JAX_MODULE)):  # another version of JAX, which keeps nothing
@@ -248,6 +254,7 @@ def _entries(folder: Path) -> Iterator[Path]:
     """Yield the entries that can be removed separately: single files, and Warp's module folders."""
     for kind in ("jax", "programs"):
         yield from (path for path in folder.glob(f"{kind}/**/*") if path.is_file())
+    # Warp loads a module from several files: without one of them it would fail.
     yield from (path for path in folder.glob("warp/*/*") if path.is_dir())
 
 
@@ -258,6 +265,7 @@ def _use(path: Path) -> tuple[float, int]:
         found = [one.stat() for one in files]
     except FileNotFoundError:
         return 0.0, 0
+    # Both times: file systems mounted with `noatime` never change the first.
     return max((max(s.st_atime, s.st_mtime) for s in found), default=0.0), sum(s.st_size for s in found)
 
 
@@ -291,6 +299,7 @@ def warn_once_of_broken_entries(say: Callable[[str], None], folder: Path) -> Non
 
 def is_compiling(thread: int) -> bool:
     """Return whether a thread is in JAX's compiler, by its stack."""
+    # JAX tells when a stage ends, not when it begins: a long compilation shows on the stack alone.
     frame = sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
     while frame is not None:
         if frame.f_code.co_filename.replace(os.sep, "/").endswith("jax/_src/compiler.py"):
@@ -301,6 +310,7 @@ def is_compiling(thread: int) -> bool:
 
 def write_line(text: str) -> None:
     """Write a line to the error stream, if there is one that takes it."""
+    # The stream may be closed, or None under pythonw.
     with contextlib.suppress(OSError, ValueError, AttributeError):
         print(f"usarmjx: {text}", file=sys.stderr, flush=True)
 
@@ -375,6 +385,7 @@ class CompileNotice:
     def _watch(self) -> None:
         if not (self._watched or self.shown):
             self._watched = True
+            # A daemon: it must not keep a finished program alive.
             threading.Thread(target=self._look, name="compile notice", daemon=True).start()
 
     def _look(self) -> None:
@@ -385,6 +396,7 @@ class CompileNotice:
                 works = bool(self._heard) or self._building > 0
                 self._compiling |= self._heard
                 self._heard.clear()
+            # Outside the lock: looking at stacks takes time, and listeners would wait.
             works = works or any(map(self._at_work, self._compiling))
             busy, idle = (busy + POLL, 0.0) if works else (busy, idle + POLL)
             with self._lock:

@@ -112,9 +112,11 @@ class _Digests:
         return known[0]
 
     def _digest(self, value: object) -> bytes:
+        # The type is part of it: 1, 1.0 and True are equal but trace to different programs.
         found = hashlib.blake2b(name_of(type(value)).encode() + b"\0", digest_size=20)
         parts = _leaf_parts(value)
         for part in self._inner_parts(value) if parts is None else parts:
+            # Lengths keep ("ab", "c") apart from ("a", "bc").
             found.update(struct.pack("<q", len(part)))
             found.update(part)
         return found.digest()
@@ -125,6 +127,7 @@ class _Digests:
             case list() | tuple():
                 return self._all(cast("Iterable[object]", value))
             case set() | frozenset():
+                # A set of texts is iterated in another order in every process.
                 return sorted(self._all(cast("Iterable[object]", value)))
             case dict() | MappingProxyType():
                 pairs = cast("Mapping[object, object]", value).items()
@@ -168,6 +171,7 @@ def _leaf_parts(value: object) -> list[bytes] | None:
         return [repr(cast("object", value)).encode()]
     if isinstance(value, jax.Array):
         is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+        # Typed keys cannot become NumPy arrays.
         held = jax.random.key_data(value) if is_key else value
         return [f"{value.dtype} {jax.typeof(held).weak_type}".encode(), *_array_parts(np.asarray(held))]
     if isinstance(value, mujoco.MjModel):
@@ -182,6 +186,7 @@ def _leaf_parts(value: object) -> list[bytes] | None:
 def _array_parts(value: np.ndarray) -> list[bytes]:
     if value.dtype.hasobject:
         raise FingerprintError("an array of objects has no digest")
+    # Shape and type belong to it: the same bytes may be (2, 3) or (3, 2).
     return [repr((value.dtype.descr, value.shape)).encode(), np.ascontiguousarray(value).tobytes()]
 
 
@@ -202,6 +207,7 @@ def digest_of_sources(folder: Path, since: float) -> str:
     found = hashlib.blake2b(digest_size=20)
     # Sorted: the order of directory entries differs between file systems.
     for path in sorted(_files(folder)):
+        # Python has imported the older version: a digest of the newer one would describe other programs.
         if path.stat().st_mtime > since:
             raise SourcesChangedError(f"{path} was changed while this process ran")
         content = path.read_bytes()
@@ -212,18 +218,21 @@ def digest_of_sources(folder: Path, since: float) -> str:
 
 def _files(folder: Path) -> Iterable[Path]:
     for where, folders, names in os.walk(folder):
+        # In place: `os.walk` descends into what is left in this list.
         folders[:] = [name for name in folders if name != "__pycache__"]
         yield from (Path(where) / name for name in names)
 
 
 @cache
 def _sources() -> str:
+    # File times may lag behind the clock: a file written just after the start could look older.
     return digest_of_sources(PACKAGE, PROCESS_START - CLOCK_ERROR)
 
 
 def build_conditions() -> dict[str, object]:
     """Return what can change a program besides sources and arguments, by name."""
     known = cast("dict[str, object]", jax.config.values)  # pyright: ignore[reportUnknownMemberType]
+    # `values` holds what is set globally; the attribute also shows what a context manager has set here.
     settings = {name: getattr(jax.config, name, value) for name, value in sorted(known.items())}
     environment = {name: text for name, text in sorted(os.environ.items()) if name.startswith(VARIABLES)}
     return {
@@ -282,7 +291,9 @@ def compile_program(
         named = named.func
     # `named` keeps the function's own name for the cache: the wrapper and partials have none.
     exact = jax.default_matmul_precision("highest")(function) if precise else function
+    # Outermost, so that it holds while the function is traced, whenever that happens.
     exact = single_precision(exact)
+    # Exported programs have no static arguments: such a function is compiled anew by each process.
     compiled = jax.jit(exact, static_argnums=static)
     return (
         compiled
@@ -312,6 +323,7 @@ class ProgramCache:
         """
         if name in self._names:
             return compiled
+        # Closures of one name could hold different values, which the name does not show.
         self._names.add(name)
         return CachedProgram(self, name, compiled)
 
@@ -365,6 +377,7 @@ class PrecompiledProgram:
     def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
         """Call the function."""
         if self._pending is not None:
+            # An error of the compilation appears here, at the first call, and not in the thread.
             self._ready, self._pending = self._pending.result(), None
         if self._ready is not None:
             try:
@@ -416,6 +429,7 @@ class CachedProgram:
         """Call the function; while another function is being traced, become part of that one."""
         leaves, tree = jax.tree.flatten(args)
         if any(isinstance(leaf, Tracer) for leaf in leaves):
+            # An exported program has no rule for `vmap`, under which the outer function may be traced.
             return self._compiled(*args)
         return self._program(args, leaves, tree)(*args)
 
@@ -425,6 +439,8 @@ class CachedProgram:
 
     def _program(self, args: tuple[Any, ...], leaves: list[Any], tree: Any) -> Any:  # noqa: ANN401 - as above
         """Return the `jax.jit` program for such arguments."""
+        # The same ingredients as those of `jax.jit`'s own cache: a wrong hit would run another shape's
+        # program.
         known = tree, *[_shape_of(leaf) for leaf in leaves]
         program = self._programs.get(known)
         if program is None:
@@ -446,6 +462,7 @@ class CachedProgram:
             write_entry(path, data)
             exported = _load(data)
         program = cast("Callable[..., Any]", exported.call)  # pyright: ignore[reportUnknownMemberType]
+        # `exported.call` alone would be traced at each call.
         return jax.jit(program)
 
 
@@ -453,6 +470,7 @@ def _traced(compiled: Any, args: tuple[Any, ...]) -> bytes | None:  # noqa: ANN4
     """Return the bytes of a traced program; None: it cannot be exported, for instance with host callbacks."""
     try:
         compiled.trace(*args)  # afterwards `warp_functions` knows all Warp kernels in it
+        # JAX exports unknown custom calls only on request; ours are registered anew by each process.
         ours = [export.DisabledSafetyCheck.custom_call(target) for target in sorted(warp_functions.targets())]
         exported = export.export(compiled, disabled_checks=ours)(*args)
         text = str(exported.mlir_module()) if ours else ""
@@ -471,6 +489,7 @@ def _shape_of(leaf: Any) -> tuple[Any, ...]:  # noqa: ANN401 - an array or numbe
 
 def _load(data: bytes) -> export.Exported:
     exported, launches = pickle.loads(data)
+    # Kernels must be registered before the program that calls them is compiled.
     warp_functions.expect(launches)
     return exported
 
@@ -482,6 +501,8 @@ def read_entry(path: Path, load: Callable[[bytes], T]) -> T | None:
         return None
     try:
         with _loading_entries(path.parent).loading(path):
+            # A broken program may crash the process instead of raising: the note lets the next start remove
+            # it.
             return load(zlib.decompress(data))
     except Exception as error:
         discard(path, str(error))

@@ -142,6 +142,7 @@ def radio_settings(source: Path | IniFile) -> RadioSettings:
             field = fields.get(line.key.lower())
             if field is None:
                 fail(line, f"[{section}] has no key {line.key}", f"one of {', '.join(keys)}")
+            # The debug switches of all three sections are one setting: any of them turns it on.
             values[field] = _read(line, field, values.get("debug", False))
     try:
         return RadioSettings(**values)  # type: ignore - each value was read as its field's kind
@@ -155,6 +156,7 @@ def _read(line: Line, field: str, debug: object) -> float | bool:
     value = as_number(line, line.value, line.key)
     if field not in ("listen_port", "max_obs"):
         return value
+    # The ini has numbers without a type: 5874.0 is a whole one.
     if value != int(value):
         fail(line, f"{line.key} is {line.value}", "a whole number")
     return int(value)
@@ -181,6 +183,7 @@ def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) ->
 def link_range(settings: RadioSettings, walls: int) -> float:
     """Return the largest distance at which a link behind `walls` solids holds [m]; infinite if n is 0."""
     margin = settings.pdo - min(walls, settings.max_obs) * settings.atten_fac - settings.cutoff
+    # Power does not fall with distance: the link holds everywhere or nowhere.
     if settings.n == 0:
         return math.inf if margin >= 0 else 0.0
     return settings.do * 10 ** (margin / (10 * settings.n))

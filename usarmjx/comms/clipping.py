@@ -31,6 +31,7 @@ SIDE_MARGIN = 1e-5
 
 def positive_interval(start: Array, slope: Array) -> SegmentInterval:
     """Return the interval of a segment on which `start + t slope` is positive."""
+    # The quotient of a constant is not used; dividing by 0 would put NaN into gradients.
     t = -start / xp.where(slope == 0, 1.0, slope)
     # Constant and not positive: an empty interval, whose first parameter exceeds the last.
     outside = (slope == 0) & (start <= 0)
@@ -120,6 +121,8 @@ def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array
         local, along = local_segments(solid, middle, half)
         if kind == TRIANGLE_KIND:
             low, high = behind_face(local, along)
+            # A convex solid is the intersection of half spaces: the segment crosses it where all intervals
+            # meet.
             count += low.max(0) < high.min(0)
         else:
             count[_crosses_columns(local, along, solid.size)] += 1
@@ -128,6 +131,7 @@ def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array
 
 def _crosses_columns(local: XYZ, along: XYZ, size: Array) -> np.ndarray:
     """Return which segments cross any column (segments,); only columns near a segment are tested."""
+    # NumPy computes everything that it is given: sorting far columns out pays there, in one pass.
     (x, y, _), (dx, dy, _) = local, along
     reach = (x + np.abs(dx) > -SIDE_MARGIN) & (y + np.abs(dy) > -SIDE_MARGIN)
     column, segment = np.nonzero(reach & (x + y - np.abs(dx + dy) < 1 + SIDE_MARGIN))

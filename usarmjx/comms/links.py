@@ -55,6 +55,7 @@ def _squarings(robots: int) -> int:
 def transitive_closure(linked: Array) -> Array:
     """Return which robots reach which over any number of hops, itself included (..., robots, robots)."""
     robots = linked.shape[-1]
+    # With the diagonal set, squaring covers paths of all lengths up to the double.
     paths: Array = linked | np.eye(robots, dtype=bool)
     for _ in range(_squarings(robots)):
         paths = xp.any(paths[..., :, :, None] & paths[..., None, :, :], -2)
@@ -77,6 +78,7 @@ def hops(linked: Array, base: Array | int) -> Array:
     start = xp.broadcast_to(start, (*linked.shape[:-2], robots)).astype(xp.int32)
 
     def widen(_: int, count: Array) -> Array:
+        # Bellman-Ford: after k rounds all counts up to k are right, so robots - 1 rounds are enough.
         via = xp.where(linked, count[..., None, :], robots).min(-1)
         return xp.minimum(count, via + 1)
 
@@ -107,6 +109,7 @@ def connected_components(linked: Array) -> Array:
     Returns:
         int32 (..., robots); a robot without links has its own slot.
     """
+    # Of equal values `argmax` takes the first, which is the lowest slot.
     return xp.argmax(transitive_closure(linked), -1).astype(xp.int32)
 
 
@@ -126,6 +129,7 @@ def bottleneck(power: Array) -> Array:
     robots = power.shape[-1]
     best = xp.where(np.eye(robots, dtype=bool), xp.inf, power)
     for _ in range(_squarings(robots)):
+        # The closure again, with min for "and" and max for "or".
         best = xp.minimum(best[..., :, :, None], best[..., None, :, :]).max(-2)
     return best
 
@@ -196,6 +200,7 @@ def shadowing(settings: AnyRadioSettings, key: Array, robots: int) -> Array:
     low, high = pair_slots(robots)
     if settings.shadowing == 0 or not len(low):
         return xp.zeros(len(low))
+    # Folded in twice, once per slot: a key from the pair's index would change with the number of robots.
     keys = vmap(random.fold_in)(random.fold_in(key, np.arange(robots))[low], high)
     return settings.shadowing * random.normal(keys, (len(low),))
 
@@ -228,6 +233,7 @@ def pair_powers(
     start, end = antennas[low], antennas[high]
     way = end - start
     distance = xp.sqrt(xp.maximum((way * way).sum(-1), MIN_SQUARED_DISTANCE))
+    # A count is constant almost everywhere; tracing derivatives through ray tests would only cost time.
     walls = count_walls(geoms, stop_gradient(start), stop_gradient(end))
     return received_power(settings, distance, walls) + shadow, walls
 
@@ -255,6 +261,7 @@ def evaluate_links(
     count = len(antennas)
     power, walls = pair_powers(settings, geoms, antennas, shadowing(settings, key, count))
     paired = in_use[:, None] & in_use[None, :] & ~np.eye(count, dtype=bool)
+    # -inf is below every cutoff and has a delivery probability of 0; NaN would spread.
     power = xp.where(paired, _square(power, count, -xp.inf), -xp.inf)
     in_range = paired & (power >= settings.cutoff)
     return Links(

@@ -93,12 +93,16 @@ def enqueue(
         The messages under way, and which of the new ones found room in their queue (robots, robots).
     """
     size, payload = message
+    # At most one message per pair and call: counting those under way is enough.
     fits = sent & (transit.count < settings.capacity)
+    # Times 0.0 keeps the shape and makes it a float.
     needs = 0.0 * size if settings.bandwidth is None else size / settings.bandwidth
     # The backlog was counted at `transit.step`; since then the link has worked it off.
     busy = xp.maximum(transit.backlog - clock.since(transit.step), 0.0)
     backlog = xp.where(fits, busy + needs[:, None], busy)
+    # Rounded up to whole control steps; the margin keeps 0.2 s at 0.1 s from becoming three steps.
     delay = xp.ceil((backlog + settings.latency) / clock.period - ROUNDING).astype(xp.int32)
+    # A mask over the queue instead of an index: it is the same for NumPy and for traced arrays.
     new = fits[..., None] & (np.arange(settings.capacity) == transit.count[..., None])
     transit = transit.replace(
         count=transit.count + fits,
@@ -125,6 +129,7 @@ def dequeue(transit: Transit, clock: Clock) -> tuple[Transit, Array]:
     # Entries beyond the count are undefined, so the last one may be repeated.
     source = xp.minimum(np.arange(capacity) + arrived[..., None], capacity - 1)
 
+    # Queues stay in order with their first message at index 0, so arrivals are always a prefix.
     def shifted(values: Array) -> Array:
         index = source.reshape(*source.shape, *[1] * (values.ndim - source.ndim))
         return xp.take_along_axis(values, index, axis=2)
@@ -282,6 +287,7 @@ def deliver(
     length = xp.maximum(messages.size_bytes, 0).astype(xp.int32)
     # Counted in messages: a sum of bytes over many receivers could overflow int32.
     left = xp.maximum(settings.bytes_per_step - spent, 0)
+    # Messages without bytes cost nothing: then any number of receivers is affordable.
     affordable = xp.where(length > 0, left // xp.maximum(length, 1), to.shape[-1])
     paid = to & (xp.cumsum(to, -1) <= affordable[:, None])
     linked = paid & links.in_range
@@ -350,6 +356,7 @@ def receive(inboxes: Inboxes, clock: Clock) -> Inboxes:
         return inboxes
     transit, arrived = dequeue(before, clock)
     boxes, to = inboxes.replace(transit=transit), np.arange(len(arrived))[:, None]
+    # Place by place, so that nobody's second message comes before another's first.
     for place in range(before.arrival.shape[-1]):
         here = place < arrived
 
@@ -365,4 +372,5 @@ def receive(inboxes: Inboxes, clock: Clock) -> Inboxes:
 
 def clear_inboxes(inboxes: Inboxes, mask: Array | bool = True) -> Inboxes:
     """Return the inboxes with those of the masked robots (robots,) emptied."""
+    # Entries beyond the count are undefined, so the count alone is reset.
     return inboxes.replace(count=xp.where(mask, 0, inboxes.count))

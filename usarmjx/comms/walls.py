@@ -61,6 +61,7 @@ PADDING_DISTANCE = 1e6
 def crosses_plane(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Return whether a segment crosses a plane with normal z; half sizes of 0 are unbounded."""
     crossed = xp.abs(middle[2]) < xp.abs(half[2])
+    # A segment parallel to the plane does not cross it: the divisor is arbitrary then.
     t = -middle[2] / xp.where(half[2] == 0, 1.0, half[2])
     for axis in (0, 1):
         crossed = crossed & ((size[axis] <= 0) | (xp.abs(middle[axis] + t * half[axis]) < size[axis]))
@@ -161,11 +162,13 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     Raises:
         UnsupportedGeomError: A solid cannot be counted.
     """
+    # Links pass whatever can move: only what is the same in every step attenuates.
     fixed = replace(arena, loose=(), doors=(), victims=(), false_alarms=())
     model = new_spec(fixed, Physics()).compile()
     check_wall_types(model.geom_type.tolist())
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
+    # A sky box encloses the arena, and every link would cross it.
     walls = np.flatnonzero(np.array(materials_of(model, arena), object) != SKY)
     pieces = ray_primitives_of(model, walls, columns=True)
     pos, mat = pieces.world_poses(data.geom_xpos[walls], data.geom_xmat[walls].reshape(-1, 3, 3))
@@ -189,6 +192,7 @@ def bare_floor(arena: ArenaSpec) -> ArenaSpec:
 
 def add_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
     """Add boxes to solids: centres [m] (n, 3), orientations (n, 3, 3), half lengths [m] (n, 3)."""
+    # A block of no boxes would cost a kernel.
     if not len(size):
         return solids
     block = GeomBlock(pos=pos, mat=mat, size=size, owner=np.full(len(size), -1))

@@ -85,6 +85,7 @@ class VariedModel:
                 raise UnsupportedFeatureError(f"vary: wheel needs cylinders, not {', '.join(odd)}")
         if vary.mass is not None:
             self._span = vary.mass
+            # `mj_setConst` cannot be traced: it runs at a few masses here, and the traced step interpolates.
             tables = [self._derived(factor) for factor in np.linspace(*vary.mass, MASS_KNOTS)]
             self._tables = {name: np.stack([t[name] for t in tables]) for name in self._mass_names}
         joints = model.jnt_bodyid
@@ -134,24 +135,31 @@ class VariedModel:
         """Return the geom sizes for wheels of other radii."""
         ids, factor = self._wheels, _of(wheel, self._wheel_owner)
         size = base("geom_size", len(factor)).at[:, ids, 0].multiply(factor)
+        # Boxes are (centre, half extents): 3 and 4 lie across the wheel's axis, and 5, its width, stays.
         box = base("geom_aabb", len(factor)).at[:, ids, 3:5].multiply(factor[..., None])
+        # A cylinder's sizes are (radius, half length, 0): its bounding sphere reaches the rim.
         rbound = base("geom_rbound", len(factor)).at[:, ids].set(jnp.linalg.norm(size[:, ids, :2], axis=-1))
         return {"geom_size": size, "geom_aabb": box, "geom_rbound": rbound}
 
     def _loaded(self, mass: Array) -> dict[str, jax.Array]:
         """Return masses and derived constants, interpolated between the tables' knots."""
         low, high = self._span
+        # A range of one value has knots at no distance: the bound avoids 0 / 0.
         step = max((high - low) / (MASS_KNOTS - 1), 1e-9)
         dof_owner = self._bodies.owner[self._model.dof_bodyid]
         fields: dict[str, jax.Array] = {}
         for name, table in self._tables.items():
             owner = self._bodies.owner if name in BODY_FIELDS else dof_owner
             place = (_of(mass, owner, low) - low) / step
+            # At the upper end of the range `floor` gives the last knot, which has no neighbour above.
             below = jnp.clip(jnp.floor(place), 0, MASS_KNOTS - 2).astype(jnp.int32)
+            # Tables of inertia and of `body_invweight0` have an axis more than those of mass.
             share = (place - below).reshape(*place.shape, *[1] * (table.ndim - 2))
             column = np.arange(len(owner))
             known = jnp.asarray(table)
             value = known[below, column] * (1 - share) + known[below + 1, column] * share
+            # Owner -1 (no robot) reads the appended False. Bodies of no randomized robot keep MuJoCo's exact
+            # numbers.
             varies = np.append(self._bodies.varies, False)[owner]
             original = jnp.asarray(getattr(self._model, name), jnp.float32)
             fields[name] = jnp.where(varies.reshape(-1, *[1] * (table.ndim - 2)), value, original)
@@ -161,6 +169,7 @@ class VariedModel:
 def _of(values: Array, owner: np.ndarray, other: float = 1.0) -> jax.Array:
     """Return the owners' values (worlds, n), given values by slot (worlds, robots); `other` if no owner."""
     values = jnp.asarray(values)
+    # The index is clamped because -1 would read the last robot; `where` throws that value away.
     return jnp.where(owner >= 0, values[:, np.maximum(owner, 0)], other)
 
 
@@ -385,6 +394,7 @@ def choose_engine(name: str, purpose: Literal["serve", "train", "batch"]) -> str
         if name not in ENGINES:
             raise UnknownNameError(unknown_name("engine", name, ["auto", *ENGINES.names()]))
         return name.lower()
+    # Only for `auto`: looking up devices starts JAX's backend.
     kinds = {device.platform for device in jax.devices()}
     if "gpu" in kinds and importlib.util.find_spec("warp") is not None:
         return "warp"
@@ -418,5 +428,6 @@ def make_engine(
         EngineError: The engine cannot run here.
     """
     engine = engine_class(name)
+    # Only `planar` moves robots by their classes; the others know joints and bodies alone.
     more = {"robots": robots} if engine.needs_robots else {}
     return engine(spec, physics, worlds, moved_geoms, varied_bodies, **more)

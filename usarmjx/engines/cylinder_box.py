@@ -114,12 +114,15 @@ def _least_penetration(pair: _Pair) -> tuple[jax.Array, jax.Array, jax.Array]:
     spokes = spokes - _dot(spokes, pair.axis)[:, None] * pair.axis
     crosses = jnp.cross(pair.axis, jnp.eye(3))
     directions = jnp.concatenate([spokes, crosses, pair.axis[None], _rim_normals(pair)])
+    # Cross products of nearly parallel axes are roundings: normalised, they would point anywhere.
     usable = _dot(directions, directions) > PARALLEL**2
     directions = _unit(directions)
     gaps = jnp.where(usable, _separation(pair, directions), -jnp.inf)
+    # The least penetration is along the direction of the largest gap (separating axes).
     other = jnp.argmax(gaps)
     face_gaps = _separation(pair, jnp.eye(3))
     face = jnp.argmax(face_gaps)
+    # Of nearly equal directions the face wins: else the normal would flip between steps of a resting wheel.
     bias = FACE_BIAS_MIN + FACE_BIAS * jnp.abs(gaps[other])
     on_face = face_gaps[face] >= gaps[other] - bias
     n = jnp.where(on_face, jnp.eye(3)[face], directions[other])
@@ -131,6 +134,7 @@ def _clip_slab(
     start: jax.Array, step: jax.Array, half: jax.Array, span: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
     """Part of `span` on which |start + t step| <= half; empty if its first exceeds its second."""
+    # A line parallel to the slab gets ends far outside instead of 0 / 0.
     step = _sign(step) * jnp.maximum(jnp.abs(step), 1e-9)
     one, two = (-half - start) / step, (half - start) / step
     return (
@@ -323,6 +327,7 @@ def cylinder_box(cylinder: GeomInfo, box: GeomInfo) -> Contacts:
         box.size,
     )
     n, gap, on_face = _least_penetration(pair)
+    # Both branches are computed and one is kept: the normal of the unused one is replaced by a harmless one.
     face_gaps, face_pos = _on_face(pair, jnp.where(on_face, n, jnp.array([0.0, 0.0, 1.0])), gap)
     edge_gaps, edge_pos = _on_edge(pair, n, gap)
     dist = jnp.where(on_face, face_gaps, edge_gaps)
@@ -365,6 +370,7 @@ def register_collision() -> None:
         key = types.CYLINDER, types.BOX
     except (ImportError, AttributeError) as missing:
         raise EngineError(f"mujoco-mjx {found} lacks a private name: {missing}") from missing
+    # Wrapping it a second time would make other programs of the same model.
     if getattr(table.get(key), "implementation", None) is cylinder_box:
         return
     function = collider(ncon=CONTACTS)(cylinder_box)

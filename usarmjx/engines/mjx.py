@@ -50,6 +50,7 @@ class ShortBoxes:
     """
 
     def __init__(self, moved_geoms: MovedGeoms, max_length: float) -> None:
+        # The margin keeps a wall of exactly n cells at n pieces when its length is rounded up.
         counts = np.maximum(1, np.ceil(2 * moved_geoms.max_half_length / max_length - 1e-6)).astype(int)
         self._whole = moved_geoms.names
         self._counts = counts
@@ -90,7 +91,9 @@ class ShortBoxes:
         assert poses.size is not None
         size, quat = poses.size[:, self._owner], poses.quat[:, self._owner]
         count = self._counts[self._owner, None]
+        # The longest axis may differ between worlds, so it is a mask instead of an index.
         along = jnp.arange(3) == jnp.argmax(size, -1, keepdims=True)
+        # Sizes are half lengths: centres of n pieces lie at odd multiples of size / n from one end.
         shift = (2 * (self._piece_index[:, None] + 0.5) / count - 1) * size * along
         # An overload of einsum leaves its arguments open.
         turned = jnp.einsum("...ij,...j->...i", mat_from_quat(quat), shift)  # pyright: ignore[reportUnknownMemberType]
@@ -106,10 +109,13 @@ def step_by_accelerations(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     alone, which is up to a thousand times less: robots that stood trembled by up to 0.4 rad/s2. MuJoCo Warp
     integrates accelerations, too. Where no constraint acts, forces are exact and accelerations are not.
     """
+    # `mjx.step` is forward, then the integrator; they are called apart to change the forces in between.
     done = mjx.forward(model, data)
     force = jnp.where(done.qfrc_constraint == 0.0, done.qfrc_smooth, mjx.mul_m(model, done, done.qacc))
+    # `mjx.euler` adds both forces: the whole one goes into one field, and zero into the other.
     none = jnp.zeros_like(force)
     after = mjx.euler(model, done.replace(qfrc_smooth=force, qfrc_constraint=none))
+    # Sensors and statistics read these afterwards.
     return after.replace(qfrc_smooth=done.qfrc_smooth, qfrc_constraint=done.qfrc_constraint)
 
 
@@ -162,6 +168,8 @@ class MjxEngine(Engine[mjx.Data]):
             model, axes = self.mx, None
         else:
             model = self.mx.tree_replace(fields)
+            # Only replaced fields get an axis over the worlds: a copy of the rest per world would fill the
+            # memory.
             axes = jax.tree.map(lambda _: None, self.mx).tree_replace(dict.fromkeys(fields, 0))
         step, calls = self._step_and_count()
         worlds_step = jax.vmap(step, in_axes=(axes, 0))
@@ -199,6 +207,7 @@ class MjxEngine(Engine[mjx.Data]):
             "geom_quat": everywhere(self.mx.geom_quat, poses.quat),
         }
         if poses.size is not None:
+            # Broad phases read bounds, not sizes: with stale ones they would miss contacts of grown boxes.
             box = jnp.concatenate([jnp.zeros_like(poses.size), poses.size], -1)
             fields["geom_size"] = everywhere(self.mx.geom_size, poses.size)
             fields["geom_aabb"] = everywhere(self.mx.geom_aabb, box)
@@ -217,6 +226,8 @@ class MjxEngine(Engine[mjx.Data]):
     def reset(self, engine_state: mjx.Data, mask: Array, qpos: Array) -> mjx.Data:
         """Reset the masked worlds to qpos, at rest; the others keep every bit."""
 
+        # By `where`, not by a product: a world is also reset after its numbers became NaN, and 0 * NaN is
+        # NaN.
         def clear(value: jax.Array) -> jax.Array:
             return jnp.where(mask.reshape(-1, *[1] * (value.ndim - 1)), 0.0, value)
 
@@ -265,6 +276,7 @@ class JaxEngine(MjxEngine):
         )  # -1 when there is none
         self._pair_cap = cap if cap >= 0 else sys.maxsize
         groups = collision_driver._geom_groups(self.model)  # pyright: ignore[reportPrivateUsage] - as above
+        # Planes and height fields have a bounding radius of 0, so MJX never sorts their pairs out by spheres.
         unbounded = {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}
         self._capped = [
             np.array(pairs)[:, :2]
@@ -282,16 +294,19 @@ class JaxEngine(MjxEngine):
         if spec.body(ARENA) is not None:
             spec.add_exclude(bodyname1=WORLD, bodyname2=ARENA)
         if self.moved_geoms is not None and self.moved_geoms.resized:
+            # Splitting needs fixed numbers of pieces: the walls' lengths differ between worlds and are data.
             self._short = ShortBoxes(self.moved_geoms, MAX_BOX_LENGTH)
             self.moved_geoms = self._short.moved_geoms
             model = self._short.compile(spec)
         else:
             model = split_long_boxes(spec, MAX_BOX_LENGTH)
         free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+        # The mass of a free body includes everything that hangs on it.
         masses = model.body_subtreemass[free]
         lightest, heaviest = (
             (1.0, 1.0) if self.varied_bodies is None else self.varied_bodies.vary.mass or (1.0, 1.0)
         )
+        # The worst pair under randomization: one body at its heaviest beside one at its lightest.
         uneven = len(free) and heaviest * masses.max() > MAX_MASS_RATIO * lightest * masses.min()
         if uneven or np.bincount(model.dof_treeid).max(initial=0) > MAX_TREE_DOFS:
             model.opt.iterations = max(model.opt.iterations, MORE_ITERATIONS)
@@ -307,7 +322,9 @@ class JaxEngine(MjxEngine):
         """Return the number of pairs and contacts that may have been dropped (worlds,)."""
         contact = engine_state._impl.contact
         in_force = (contact.dist < contact.includemargin).sum(-1)
+        # A full buffer cannot tell how many contacts it lacks: all of them count as suspect.
         lost = jnp.where(in_force >= contact.dist.shape[-1], in_force, 0)
+        # Pieces of walls and randomized wheels have other radii in every world.
         radius = self._fields(inputs).get("geom_rbound", jnp.asarray(self.model.geom_rbound)[None])
         # Only these types have more pairs than the cap, so only they can lose any.
         for pairs in self._capped:

@@ -79,6 +79,7 @@ def world_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_kinematics(model, data)
     mat = data.geom_xmat.reshape(-1, 3, 3)
     middle = data.geom_xpos + (mat @ model.geom_aabb[:, :3, None])[..., 0]
+    # Half of the gap on either side: two boxes overlap when they are up to a whole gap apart.
     half = (np.abs(mat) @ model.geom_aabb[:, 3:, None])[..., 0] + NEAR_BOX_GAP / 2
     return middle - half, middle + half
 
@@ -96,6 +97,7 @@ def convex_contact_budget(model: mujoco.MjModel, pairs: np.ndarray, contacts: in
     low, high = world_boxes(model)
     one, other = pairs.T
     near = ((low[one] <= high[other]) & (low[other] <= high[one])).all(1)
+    # The largest kind decides: MuJoCo Warp's convex buffer is used again for each kind of pairs.
     _, counts = np.unique(kinds[near], axis=0, return_counts=True)
     most = CONVEX_PAIR_FACTOR * int(counts.max(initial=0))
     return int(np.clip(most, np.ceil(MIN_CONVEX_FRACTION * contacts), contacts))
@@ -151,7 +153,9 @@ class SleepState:
         speed += self._radius * jnp.linalg.norm(own[..., 3:], axis=-1)
         moving = ~(speed < self._tolerance)  # negated so that NaN counts as moving
         moving |= (jnp.asarray(force)[:, self.bodies] != 0.0).any(-1)
+        # Approaching bodies wake an object before they touch it: asleep, it has no contacts to wake by.
         near = (self._distances(xpos, self._movers) < self._reach + self._look_ahead(qvel)[:, None]).any(-1)
+        # A moving object wakes its neighbours likewise, so that a pile falls as a whole.
         beside = (self._distances(xpos, self.geoms) < self._between) & moving[:, None, self._owner]
         disturbed = moving | self._any_geom(near | beside.any(-1))
         return jnp.where(disturbed, 0.0, data.userdata + 1.0)
@@ -172,6 +176,7 @@ class SleepState:
 
     def _look_ahead(self, qvel: jax.Array) -> jax.Array:
         """Return how far robots, limbs and doors may move during the look-ahead [m] (worlds, movers)."""
+        # Limbs and doors (-1) read row 0 and are given a fixed speed below.
         rows = np.maximum(self._mover_dof, 0)[:, None] + np.arange(3)
         speed = jnp.linalg.norm(qvel[:, rows], axis=-1)
         return WAKE_LOOKAHEAD * self._period * jnp.where(self._mover_dof >= 0, speed, LIMB_SPEED)
@@ -182,6 +187,7 @@ class SleepState:
 
     def _any_geom(self, of_geoms: jax.Array) -> jax.Array:
         """Reduce a mask of geoms to a mask of their objects (worlds, objects)."""
+        # A mask and a reduction: a scatter per world would be slower on a GPU.
         mine = jnp.asarray(self._owner == np.arange(len(self.bodies))[:, None])  # (objects, geoms)
         return (of_geoms[:, None] & mine).any(-1)
 
@@ -226,6 +232,7 @@ def _passive_without_gravcomp() -> Callable[..., Any]:
     passive = import_module("mujoco.mjx.third_party.mujoco_warp._src.passive")
 
     def launch(kernel: object, *args: object, **kwargs: object) -> None:
+        # Leaving out the launch is exact here: without gravity compensation the kernel adds zeros.
         if kernel is not passive._gravity_force:
             passive.wp.launch(kernel, *args, **kwargs)
 
@@ -248,6 +255,8 @@ def _step_by_blocks(
     """
     solve = import_module("usarmjx.engines.block.solver").solve
     forward = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward")
+    # MuJoCo Warp's functions look up their modules as globals: copies with other globals change only our
+    # step.
     changed: dict[str, object] = {"solver": SimpleNamespace(solve=solve)}
     collision = forward.collision_driver.collision
     if broad_phase is not None:
@@ -423,12 +432,14 @@ class WarpEngine(MjxEngine):
         if self._sleep is not None:
             still = self._sleep.steps_at_rest(engine_state, inputs.xfrc_applied)
             engine_state, awake = engine_state.replace(userdata=still), ~self._sleep.asleep(still)
+            # Velocities of sleeping objects are zeroed, so that remaining drift does not add up.
             held = jnp.asarray(inputs.pinned_dof).at[:, self._sleep.dofadr].max(~awake[..., None])
             inputs = inputs.replace(pinned_dof=held)
         if self._masses is not None:
             # Randomized masses change the weight, too.
             masses = self._fields(inputs).get("body_mass", self._masses).reshape(-1, self.model.nbody)
             if self._sleep is not None and awake is not None:
+                # Without a weight a sleeping object has no force at all, and stays without contacts.
                 masses = jnp.broadcast_to(masses, (self.worlds, self.model.nbody))
                 masses = masses.at[:, self._sleep.bodies].multiply(awake)
             weight = masses[..., None] * jnp.asarray(self.model.opt.gravity, jnp.float32)
@@ -466,10 +477,12 @@ class WarpEngine(MjxEngine):
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
         count, block = self.physics.substeps, self.solver == "block"
         if block and jax.default_backend() != "cpu":
+            # Streams cannot be made while a graph is captured, which happens at the first step.
             import_module("usarmjx.engines.block.branches").branches_of(_warp_device())  # makes its streams
         gravcomp = bool(self.model.body_gravcomp.any())
         own = (self._broad_phase, gravcomp, self._smooth_dynamics) if block else ()
         if self._graphs.control_step or jax.default_backend() == "cpu":
+            # The number of calls is 1: the substeps are inside.
             return (multi_step(count, True, *own) if block else multi_step(count, False, None)), 1
         return (multi_step(1, True, *own), count) if block else super()._step_and_count()
 
@@ -563,18 +576,21 @@ class LaunchReplay:
         """Call the function some times. The first call with a kind of arguments is plain, to load kernels."""
         warp = import_module("warp")
         found = _Arguments()
+        # The model comes first, so that its arrays can be left out of the copies back.
         found.visit(model)
         constant = len(found.arrays)
         found.visit(data)
         recording = self._recordings.get(key := tuple(found.key))
         if recording is None:
             self.function(model, data)
+            # The plain call has done one of the steps already.
             count -= 1
             recording = self._recordings[key] = _own_copies(model, data, found.arrays)
             with warp.ScopedCapture("cpu") as capture:
                 self.function(recording.model, recording.data)
             recording.graph = capture.graph
         self._recordings.move_to_end(key)
+        # The recording just used is the last one, so it is never dropped here.
         while len(self._recordings) > MOST_RECORDINGS:
             self._recordings.popitem(last=False)
         if not count:
@@ -630,6 +646,7 @@ def _own_copies(model: object, data: object, arrays: list[Any]) -> Recording:
         if _is_array(value):
             if value.ptr is None:
                 return value
+            # Fields that share an array must share its copy: else one misses writes to the other.
             key = value.ptr, value.dtype, value.shape, value.strides
             if key not in made:
                 memory = warp.empty(_span(value), dtype=warp.uint8, device="cpu")

@@ -89,6 +89,7 @@ def vectorized(method: Method) -> Method:
     On NumPy a marked method is called once for all robots of a class, others robot by robot. An overriding
     method needs its own mark.
     """
+    # On the function itself, so that an override without the mark does not inherit it.
     vars(method)["vectorized"] = True
     return method
 
@@ -290,6 +291,7 @@ class Sensor(ABC):
         scaled: list[Any] = []
         for settings in self.settings:
             noise = {name: getattr(settings, name, 0.0) for name in NOISE_SETTINGS}
+            # Zeros stay plain numbers: scaled by a traced factor they would draw noise for nothing.
             noise = {name: value * factor for name, value in noise.items() if value}
             precision = getattr(settings, "precision", None)
             if precision is not None:
@@ -394,6 +396,7 @@ def relative_normal(key: Array, data: Array, mean: Array | float, sigma: Array |
 
 def normal_factor(key: Array, shape: Sequence[int], mean: Array | float, sigma: Array | float) -> Array:
     """Return 1 + N(mean, sigma) of a shape; keys as of `random.normal`."""
+    # Only a plain zero: of a traced one nothing is known here.
     if isinstance(sigma, float) and not sigma:
         return xp.broadcast_to(xp.asarray(1 + mean, xp.float32), tuple(shape))
     return 1 + mean + sigma * random.normal(key, shape)
@@ -402,6 +405,7 @@ def normal_factor(key: Array, shape: Sequence[int], mean: Array | float, sigma: 
 def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
     """Return a setting of each sensor (sensors,); a JAX array if `with_noise` has scaled it by one."""
     values = [getattr(s, name) for s in settings]
+    # `np.array` of traced numbers fails.
     if not on_numpy() and any(isinstance(value, jax.Array) for value in values):
         return xp.stack([xp.asarray(value, xp.float32) for value in values])
     return np.array(values, np.float32)
@@ -414,11 +418,14 @@ def noisy(key: Array, data: Array, settings: Sequence[NoisySensorSettings]) -> A
     keys (robots,) and data (robots, sensors, ...).
     """
     noise, mean, sigma = (setting_values(settings, name) for name in ("noise", "mean", "sigma"))
+    # Folded for all settings at once: XLA compiles one fold instead of one for each mount.
     keys = random.fold_in(key, np.arange(len(settings)))
+    # Settings are per sensor: they are aligned with the axis of the sensors, whatever follows it.
     rows = (-1, *[1] * (data.ndim - random.axes(keys)))
     noisy_data = data if _is_zero(noise) else relative_uniform(keys, data, noise.reshape(rows))
     if _is_zero(mean) and _is_zero(sigma):
         return noisy_data
+    # Another key than the uniform noise's: of the same one both would be correlated.
     return relative_normal(random.fold_in(keys, 1), noisy_data, mean.reshape(rows), sigma.reshape(rows))
 
 

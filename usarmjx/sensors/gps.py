@@ -171,6 +171,7 @@ class Gps(Sensor):
 
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure a position. The largest error is three standard deviations (GPSSensor.uc)."""
+        # The robot's own parts are transparent to its rays, so only the arena and others hide the sky.
         satellites = xp.isinf(inputs.hits.distance).sum().astype(xp.float32)
         pos, _ = self.mount_poses(inputs.bodies)
         deviation = largest_error(self.settings[0], satellites) / 3

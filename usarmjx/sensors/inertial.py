@@ -95,6 +95,7 @@ class Imu(Sensor):
     def _motion(self, inputs: SensorInput, pos: Array) -> tuple[Array, Array]:
         """Return velocity [m/s] and angular velocity [rad/s] of a point (..., 3) of the mount, world axes."""
         state, bodies = inputs.state, inputs.bodies
+        # MuJoCo has angular velocities of free bodies in their own axes.
         turn = matvec(bodies.mat[..., 0, :, :], state.angular)
         velocity = state.linear + xp.cross(turn, pos - state.pos)
         for body in self._chain:
@@ -103,6 +104,7 @@ class Imu(Sensor):
             if self.plan.slides[body]:
                 velocity = velocity + axis
             else:
+                # Each joint turns everything beyond it: velocities of the chain add up at the mount.
                 velocity = velocity + xp.cross(axis, pos - bodies.pos[..., body, :])
                 turn = turn + axis
         return velocity, turn
@@ -137,10 +139,14 @@ class Imu(Sensor):
         half_turned = matmul(memory.mat, mat_from_rotation_vector(turned / 2))
         half_way = xp.where(again[..., None], half_turned, mat)
         force = matvec(half_way.mT, change + REST_FORCE)
+        # One draw for bias and noise: two calls would double the program's longest part.
         drawn = random.normal(key, (*memory.step.shape, 12))
+        # A random walk grows with the root of time, so that it does not depend on the scan interval.
         bias = memory.bias + self._by_kind("bias_walk") * xp.sqrt(elapsed) * drawn[..., :6]
+        # White noise of a mean falls with the root of the time that it is taken over.
         noise = self._by_kind("noise") / xp.sqrt(span) * drawn[..., 6:]
         limit = self._by_kind("range")
+        # Clipped last: a saturated chip shows its limit, without noise on top.
         measured = xp.clip(xp.concatenate([rate, force], -1) + bias + noise, -limit, limit)
         now = xp.broadcast_to(inputs.clock.step, memory.step.shape)
         return ImuMemory(velocity=velocity, mat=mat, step=now, bias=bias), measured
@@ -260,6 +266,7 @@ class Ahrs(Sensor):
         _, mat = self.mount_poses(inputs.bodies)
         change = xp.where(later, (velocity - memory.velocity) / span, 0.0)
         force = matvec(mat[..., 0, :, :].mT, change)
+        # Wrapped: from +pi to -pi a robot has not spun around.
         rates = xp.where(later, wrap_angle(angles - memory.angles) / span, memory.rates)
         accelerations = xp.where(later, (rates - memory.rates) / span, 0.0)
         now = xp.broadcast_to(inputs.clock.step, memory.step.shape)

@@ -89,6 +89,7 @@ class Odometry(Sensor):
         joints = [self.plan.parts.index(wheel) - 1 for wheel in names]
         if name:
             return joints[names.index(name)]
+        # Part 0 is the chassis, so joint k moves part k + 1; y points left.
         leftward = [self.plan.rest_pos[joint + 1, 1] for joint in joints]
         return joints[int(np.argmax(leftward) if leftmost else np.argmin(leftward))]
 
@@ -104,6 +105,7 @@ class Odometry(Sensor):
         return np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
 
     def _ticks(self, state: RobotState) -> Array:
+        # From the absolute angle: the fraction of a tick is not lost between two readings.
         return xp.trunc(state.joint_pos[..., self._pair] / self.settings[0].encoder_resolution)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> OdometryMemory:
@@ -238,7 +240,9 @@ class Ins(Sensor):
         pos, mat = self.mount_poses(inputs.bodies)
         pos, mat = pos[..., 0, :], mat[..., 0, :, :]
         elapsed = inputs.clock.since(memory.step)[..., None]
+        # A second reading in the same step has no interval, and no rotation either: 0 / 1e-6 is 0.
         span = xp.maximum(elapsed, 1e-6)
+        # As a rotation vector: differences of Euler angles jump at half a turn and depend on their order.
         rate = rotation_vector(matmul(memory.true_mat.mT, mat)) / span  # 1
         factor = normal_factor(key, (*rate.shape[:-1], 4), settings.mean, settings.sigma)
         rate = rate * factor[..., :3]  # 2
@@ -299,6 +303,7 @@ class Encoder(Sensor):
     def _sign(self, mount: Mount) -> float:
         looks_along = mat_from_angles(*flip_angles(mount.direction))[:, 0]
         axis = self.plan.axis[self.plan.parts.index(mount.parent)]
+        # The mount may look along the axis or against it: counts are of turns about the mount's own x.
         return float(np.dot(looks_along, axis))
 
     def check(self) -> None:

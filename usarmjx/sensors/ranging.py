@@ -87,6 +87,7 @@ def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: Ar
         np.array([[getattr(s, name)] for s in settings], np.float32) for name in ("min_range", "max_range")
     )
     hit = distance < high
+    # Noise is relative: of an infinite distance it would be infinite or NaN.
     noisy_distance = noisy(key, xp.where(hit, distance, 0.0), settings)
     ranges = xp.where(hit, xp.clip(noisy_distance, low, high), high)
     curves = [s.output_curve for s in settings]
@@ -127,6 +128,7 @@ class Sonar(Sensor):
 
     kind = "Sonar"
     grouped = True
+    # Two cones to a bundle: neighbouring sonars look in similar directions.
     bundle_size = 2 * len(BEAM_PATTERN)
     settings_class = SonarSettings
 
@@ -154,6 +156,7 @@ class Sonar(Sensor):
     def _min_cosines(self) -> np.ndarray:
         """Cosine of each sensor's largest angle of incidence; -1: unlimited (mounts, 1)."""
         widest = np.array([[one.max_incidence] for one in self.settings], np.float32)
+        # Compared in single precision: pi / 2 from an ini file must count as unlimited.
         return np.where(widest < np.float32(math.pi / 2), np.cos(widest), np.float32(-1))
 
     @property
@@ -167,6 +170,7 @@ class Sonar(Sensor):
         hits, beams = inputs.hits, len(self.mounts)
         distance = hits.distance.reshape(*hits.distance.shape[:-1], beams, -1)
         if self.needs_incidence:
+            # Before the minimum: a surface that reflects the sound away hides nothing behind another ray.
             distance = xp.where(hits.cosine.reshape(distance.shape) >= self._min_cosines, distance, xp.inf)
         return memory, range_readings(distance.min(-1, keepdims=True), self.settings, key)[..., 0]
 
@@ -267,6 +271,7 @@ def fan_directions(settings: ScannerSettings) -> np.ndarray:
 
     In the tilt plane the first beam is the lowest. The order is that of captured messages.
     """
+    # By whole steps from the first beam, as clients compute angles; the last one may fall short of the end.
     angle = -settings.scan_fov / 2 + np.arange(settings.beams) * settings.resolution
     along, aside, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
     columns = (along, aside, zero) if settings.yaw else (along, zero, aside)
@@ -467,11 +472,13 @@ class Lidar(RangeScanner3D):
         """Scan once, all beams at the same moment; range noise as for all scanners."""
         settings, hits = self.settings[0], inputs.hits
         back = settings.reflectance * hits.cosine
+        # An infinite distance gives a power of 0, so that misses need no mask.
         power = back / xp.square(xp.maximum(hits.distance, REFERENCE_DISTANCE))
         # Key 0 is used by `range_readings`: all three draws are independent.
         lost, noise = (random.fold_in(key, number) for number in (1, 2))
         heard = (power >= settings.min_power) & (hits.distance < settings.max_range)
         heard &= random.uniform(lost, heard.shape) >= settings.dropout
+        # Lost echoes look as if nothing was there: they get MaxRange, without noise.
         distance = xp.where(heard, hits.distance, xp.inf)
         ranges = range_readings(distance[..., None, :], self.settings, key)[..., 0, :]
         factor = 1 + settings.intensity_noise * random.normal(noise, back.shape)
@@ -508,6 +515,7 @@ class LineLaserSettings(SensorSettings):
 
 def line_directions(settings: LineLaserSettings) -> np.ndarray:
     """Return the unit directions of the beams about the x axis, from left to right (beams - 1, 3)."""
+    # The later versions never cast the beam at the far end of the field of view.
     left = settings.fov / 2 - settings.fov / (settings.beams - 1) * np.arange(settings.beams - 1)
     return np.stack([np.cos(left), np.sin(left), np.zeros_like(left)], -1).astype(np.float32)
 

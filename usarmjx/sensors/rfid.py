@@ -68,6 +68,7 @@ def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp:
         blocked: Whether there is an obstacle (...,).
         xp: Array module of both.
     """
+    # Twice, because the signal travels to the tag and back.
     loss = 2 * 10 * (5.25 + 2 * xp.log10(xp.maximum(distance, MIN_TAG_DISTANCE)))
     return settings.tx_power_dbm - loss - settings.obstacle_attenuation_db * blocked
 
@@ -75,6 +76,7 @@ def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp:
 def distance_of_strength(settings: RfidSettings) -> float:
     """Return the distance at which an unobstructed tag's answer has the weakest received strength [m]."""
     loss = settings.tx_power_dbm - settings.rx_sensitivity_dbm
+    # Rounded up: `signal_strength` decides, and a ray must reach whatever it accepts.
     return 10 ** min((loss / 20 - 5.25) / 2, MAX_EXPONENT) * (1 + 1e-5)
 
 
@@ -139,6 +141,7 @@ def _nearest_tags(surroundings: Surroundings, pos: Array) -> _Tags:
     """Return the `MAX_TAGS` tags nearest to a position [m] (..., 3), existing ones first."""
     names = ("tag_there", "tag_pos", "tag_single", "tag_id")
     there, positions, single, ids = (_pad_tags(getattr(surroundings, name)) for name in names)
+    # Missing tags sort last.
     far = xp.where(there, xp.linalg.norm(positions - pos[..., None, :], axis=-1), xp.inf)
     index = nearest(far, MAX_TAGS)
     return _Tags(
@@ -188,6 +191,7 @@ class Rfid(Sensor):
     def init_memory(self, inputs: SensorInput, key: Array) -> RfidMemory:
         """Return an empty memory."""
         del key
+        # Padding of `_pad_tags` has indices past the last tag.
         room = inputs.surroundings_or_empty.tag_there.shape[0] + MAX_TAGS
         lines = empty_overlay(MAX_TAGS) if self.has_overlay else None
         return RfidMemory(

@@ -115,6 +115,7 @@ class Suite:
 
     def due(self, clock: Clock, memory: SensorMemory) -> Array:
         """Return which sensors are due at a moment () (sensors,)."""
+        # By the difference: counts are 32-bit and wrap around.
         return memory.armed & (clock.step - memory.due >= 0)
 
     def _rays_of(self, i: int) -> slice:
@@ -185,6 +186,7 @@ class Suite:
         fans = sensor.fans(bodies)
         origin, direction = _rays(sensor, bodies, surroundings, memory) if fans is None else fans.rays()
         if fans is None:
+            # A sensor that aims at nothing casts nothing, for instance an RFID reader far from all tags.
             wanted = (direction != 0).any() & (True if wanted is None else wanted)
         with named_scope(sensor.kind):
             return cast(origin, direction, query_of(sensor, slot, wanted), fans)
@@ -205,6 +207,7 @@ class Suite:
             wanted = np.ones(slot.shape, bool) if due is None else np.asarray(due[..., i])
             if not self.ray_counts[i] or not wanted.any():
                 continue
+            # One call of NumPy for all robots costs about as much as one for a single robot.
             together = _rays_of_robots(sensor, bodies, surroundings) if slot.ndim else None
             if together is not None and _casts_for_robots(cast):
                 origin, direction = (part[wanted] for part in together)
@@ -234,6 +237,7 @@ class Suite:
         """
         sensors = self._with_noise(inputs)
         own = tuple(s.init_memory(inputs, own) for s, own in zip(sensors, self._keys(key), strict=True))
+        # Distances of zero, not of infinity: nothing computed from them overflows.
         rays = xp.zeros(sum(self.ray_counts))
         seen = inputs.replace(hits=Hits(distance=rays, cosine=rays))
 
@@ -305,6 +309,7 @@ class Suite:
         ]
         intervals = intervals_in_steps(self._intervals, inputs.clock.period)
         due, lead = next_due(inputs.clock.step, memory.due, memory.lead, intervals)
+        # Only measured sensors move on: a manual scanner stays due at its SCAN.
         due, lead = xp.where(fresh, due, memory.due), xp.where(fresh, lead, memory.lead)
         own = tuple(own for own, _ in kept)
         armed = xp.where(fresh, self._stays_armed(own), memory.armed)
@@ -325,10 +330,12 @@ class Suite:
     ) -> tuple[Any, Array]:
         """As `_read_one` for a due sensor, otherwise the old memory and value."""
         before = memory.own[i], memory.last[i]
+        # NumPy can skip the work; traced code has to compute and select.
         if on_numpy() and not fresh.any():
             return before
         if on_numpy() and not fresh.all():
             old = jax.tree.map(lambda x: x[fresh], before[0])
+            # Only those that are due: reading others would cost time and is thrown away anyway.
             after = self._read_one(i, sensor, inputs.of(fresh), old, key[fresh])
             return jax.tree.map(lambda new, old: set_at(old, fresh, new), after, before)
         after = self._read_one(i, sensor, inputs, before[0], key)
@@ -387,6 +394,7 @@ def migrate_memory(before: Suite, after: Suite, memory: SensorMemory, fresh: Sen
     def same_shape(old: object, new: object) -> bool:
         return jax.tree.map(np.shape, old) == jax.tree.map(np.shape, new)
 
+    # A setting may change the number of rays or lines, and old arrays no longer fit.
     pairs = zip(memory.own, fresh.own, strict=True), zip(memory.last, fresh.last, strict=True)
     own, last = (tuple(old if same_shape(old, new) else new for old, new in pair) for pair in pairs)
     both = zip(before.sensors, after.sensors, strict=True)
@@ -462,11 +470,13 @@ def suite_of(robot: RobotSpec) -> Suite:
         SpecError: A mount cannot be built.
     """
     plan = kinematic_tree_of(robot)
+    # Cameras are no sensors here, but a fault in one must show as early.
     for mount in robot.cameras:
         resolve_camera(mount, f"{mount.kind} {mount.name}")
     groups: dict[str, list[int]] = {}
     for i, mount in enumerate(robot.sensors):
         grouped = SENSORS.get(mount.kind).grouped
+        # The order of the first mount of each type is that of the reports.
         groups.setdefault(mount.kind if grouped else f"{mount.kind}#{i}", []).append(i)
     sensors: list[Sensor] = []
     for members in groups.values():

@@ -68,6 +68,7 @@ def nearest(distance: Array, count: int) -> Array:
     if warp_in_use():
         from usarmjx.sensors.nearest_warp import MOST, nearest_of_rows
 
+        # `top_k` sorts each row on a GPU, which takes far longer than a few minima.
         if count <= distance.shape[-1] <= MOST:
             return nearest_of_rows(distance, count)
     return jax.lax.top_k(-distance, count)[1]
@@ -91,6 +92,7 @@ def surroundings_at(
         floor: Height of the arena's floor in the world [m] ().
         xp: Array module of all arguments.
     """
+    # Times 0.0 gives zeros of the floor's kind: it may be traced or have an axis over worlds.
     up = xp.stack([0.0 * floor, 0.0 * floor, floor * xp.ones((), xp.float32)])
     pos, quat = segment_poses(victims, time, xp)
     return Surroundings(
@@ -122,6 +124,7 @@ def _all_tags(arena_tags: TagTable, dropped_tags: DroppedTags, up: Array, xp: Mo
         "tag_pos": xp.concatenate([arena_tags.pos + up, dropped_tags.pos]),
         "tag_id": xp.concatenate([arena_tags.id, xp.arange(room, dtype=xp.int32)]),
         "tag_single": xp.concatenate([arena_tags.single, xp.zeros(room, bool)]),
+        # Room for tags is of fixed size: entries without one have a negative ID, or are beyond the count.
         "tag_there": xp.concatenate([arena_tags.id >= 0, xp.arange(room) < dropped_tags.count]),
     }
 

@@ -96,6 +96,7 @@ class KinectSettings(SensorSettings):
     @property
     def shape(self) -> tuple[int, int]:
         """Number of rows of a strip, and of beams in a row."""
+        # The margin keeps a quotient that rounding has put just above a whole number from adding a row.
         rows = math.ceil(self.vertical_fov / self.frames / self.vertical_resolution - 1e-3)
         return max(1, rows), beam_count(self.horizontal_fov, self.horizontal_resolution)
 
@@ -148,6 +149,7 @@ class Kinect(SweptScanner):
         """Measure a strip."""
         del key
         far = xp.minimum(inputs.hits.distance, self.max_distance)
+        # The strip's number leads its distances: a message of a strip says which one it is.
         number = xp.broadcast_to(xp.asarray(memory, far.dtype)[..., None], (*far.shape[:-1], 1))
         return (memory + 1) % self.settings[0].frames, xp.concatenate([number, far], -1)
 
@@ -190,6 +192,7 @@ class PointCloudSettings(SensorSettings):
     @property
     def rows(self) -> int:
         """Number of rows of a sweep."""
+        # Without an interval every request measures: then the whole sweep would never end.
         return max(1, round(self.spin_rate / self.scan_interval)) if self.scan_interval else 1
 
 

@@ -140,11 +140,13 @@ class VictSensor(Sensor):
         settings, around = self.settings[0], inputs.surroundings_or_empty
         pos, mat = self.mount_poses(inputs.bodies)
         end, inside = self._ends(inputs)
+        # The grids are cast together, but each decides for itself on false alarms.
         bounds = np.cumsum([len(grid) for grid in self._grids])[:-1]
         met = xp.stack([grid.any(1) for grid in xp.split(inside, bounds, axis=1)])
         offset = xp.asarray(around.box_pos) - pos[0]
         position = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
         far = xp.linalg.norm(offset, axis=-1)
+        # One draw for everything: each call of the generator is a hundred operations to XLA.
         drawn = random.normal(key, (met.size + position.size,))
         doubt = xp.abs(drawn[: met.size].reshape(met.shape)) * far > settings.distance / 3
         seen = (met & (doubt | (xp.asarray(around.box_owner) >= 0))).any(0)
@@ -153,6 +155,7 @@ class VictSensor(Sensor):
         row = xp.stack([seen.astype(xp.float32), xp.asarray(around.box_part, xp.float32)], -1)
         if self.has_overlay:
             rgb = xp.where((inputs.hits.distance <= settings.distance)[:, None], RED, WHITE)
+            # Victims last: where both overlap, the victim's colour is shown.
             for owned, color in ((around.box_owner < 0, YELLOW), (around.box_owner >= 0, GREEN)):
                 rgb = xp.where(xp.any(inside & owned[:, None], 0)[:, None], color, rgb)
             memory = OverlayLines(start=end, end=end, rgb=rgb, shown=xp.ones(len(end), bool))
@@ -218,6 +221,7 @@ class Co2(Sensor):
             BREATH_CO2 * (MOUTH_RADIUS / xp.maximum(far, MOUTH_RADIUS)) ** 2,
             0.0,
         )
+        # Air next to several mouths is no more than pure breath.
         density = xp.minimum(breath.sum(), BREATH_CO2)
         return memory, noisy(key, density[None], self.settings)[0]
 
@@ -259,6 +263,7 @@ class Sound(Sensor):
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
+        # `argmax` of nothing fails; the number of victims is static.
         if around.mouth.shape[0] == 0:
             return memory, xp.zeros(2)
         pos, _ = self.mount_poses(inputs.bodies)
@@ -266,6 +271,7 @@ class Sound(Sensor):
         loud = xp.asarray(around.loudness) / far**2
         best = xp.argmax(loud)
         heard = apply_output_curve(noisy(key, loud[best][None], self.settings)[0], settings.output_curve)
+        # In silence `argmax` names the first victim.
         lasts = xp.where(loud[best] > 0, xp.asarray(around.duration)[best], 0.0)
         return memory, xp.stack([heard, lasts])
 
@@ -362,11 +368,13 @@ class HumanMotion(Sensor):
         boxes = xp.asarray(surroundings.box_pos)
         offset = boxes - pos[0]
         far = xp.linalg.norm(offset, axis=-1)
+        # Multiplied by the distance instead of divided: a part at the sensor itself would give 0 / 0.
         ahead = (offset * mat[0, :, 0]).sum(-1) >= far * math.cos(settings.fov_radians / 2)
         moves = (xp.asarray(surroundings.speed) > MIN_MOVING_SPEED) & (
             xp.asarray(surroundings.box_owner) >= 0
         )
         shown = xp.where(moves & ahead & (far <= settings.max_range), far, xp.inf)
+        # Padded, so that there are always enough to choose from.
         shown = xp.concatenate([shown, xp.full(MAX_MOVERS, xp.inf)])
         index = nearest(shown, MAX_MOVERS)
 
@@ -388,6 +396,7 @@ class HumanMotion(Sensor):
         pos, movers = self._movers(bodies, surroundings)
         way = movers.pos - pos
         along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), 1e-3)
+        # A zero direction is not cast.
         along = xp.where(xp.isfinite(movers.distance)[:, None], along, 0.0)
         return xp.broadcast_to(pos, along.shape), along
 

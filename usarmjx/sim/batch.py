@@ -156,13 +156,17 @@ class Batch:
     ) -> None:
         if worlds < 1:
             raise UsageError(f"a batch needs at least one world, not {worlds}")
+        # Before anything is compiled, so that the first programs are kept too.
         enable_cache_after_import()
         scene = build_scene(scene) if isinstance(scene, str | Path) else scene
         self.scene = scene
         self.worlds = worlds
         self.engine = engine_of(scene, engine, worlds)
         NOTICE.expect(f"Batch(worlds={worlds}, engine={engine!r})")
+        # World numbers, not indices: `first` lets a part of a batch draw what the whole would.
         self.origin, self._numbers = (seed, first, shuffle), np.arange(first, first + worlds, dtype=np.int32)
+        # All of these close over the scene: its constants are compiled in, and a change of scene needs a new
+        # batch.
         inputs_of = partial(compute_inputs, scene, solved=self.engine.has_solver)
         self._compute_inputs = self._compile(jax.vmap(inputs_of))
         self._finish_step = self._compile(jax.vmap(partial(finish_step, scene)))
@@ -186,6 +190,7 @@ class Batch:
             self._reset_program = self._compile(self._reset_where)
 
     def _keys_of(self, seed: int) -> jax.Array:
+        # Keys depend on a world's number alone, so results do not depend on the size of the batch.
         return jax.vmap(partial(jax.random.fold_in, random.key(seed)))(self._numbers)
 
     def _compile(self, function: Callable[..., Any], static: tuple[int, ...] = ()) -> Callable[..., Any]:
@@ -222,6 +227,8 @@ class Batch:
     def _reset_worlds_where(
         self, worlds: World, arenas: ArenaState | None, mask: jax.Array
     ) -> tuple[World, Array]:
+        # Every world computes a reset, and a mask selects: under `vmap` a condition would compute both sides
+        # too.
         fresh, qpos = self._fresh(worlds, arenas)
         return jax.tree.map(partial(select_worlds, mask), fresh, worlds), qpos
 
@@ -235,6 +242,8 @@ class Batch:
         """Mend worlds that broke: they start their next episode, or go on from qpos (worlds, nq), at rest."""
         if reset_bad:
             return self._reset_where(state, mask)
+        # The state before the step may be broken already, if the caller set it: then the model's own takes
+        # over.
         finite = jnp.isfinite(before).all(-1, keepdims=True)
         qpos = jnp.where(finite, before, np.float32(self.scene.model.qpos0))
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos))
@@ -244,6 +253,7 @@ class Batch:
         worlds, inputs = self._compute_inputs(state.worlds, before)
         with jax.named_scope("physics"):
             physics = self.engine.advance(state.physics, inputs)
+        # Before anything is reset: afterwards the step's contact counts are gone.
         overflow = self.engine.overflow(physics, inputs)
         worlds, finite = self._finish_step(worlds, self.engine.state(physics), overflow)
         state = state.replace(physics=physics, worlds=worlds)
@@ -251,6 +261,7 @@ class Batch:
         if self.engine.traceable:
             if not (reset_bad or self.engine.has_solver):
                 return recover(state)  # takes less than a condition, for which the host of a GPU waits
+            # A condition over the whole batch stays a condition, so that a sound step pays for no reset.
             return jax.lax.cond(finite.all(), lambda s: s, recover, state)
         return state if bool(finite.all()) else recover(state)
 
@@ -266,6 +277,7 @@ class Batch:
                 not, they go on from where they were, at rest: for who resets them afterwards.
         """
         if self.engine.traceable:
+            # `self.step` and not `self._step`: a subclass may extend a step.
             step = self.step if reset_bad else partial(self._step, reset_bad=False)
             return self.engine.blocking(jax.lax.fori_loop)(0, steps, lambda _, s: step(s), state)
         if reset_bad and type(self).step is not Batch.step:
@@ -275,6 +287,7 @@ class Batch:
         if steps < 1:
             return state
         physics, current = state.physics, self.physics(state)
+        # Each step's end and the next one's start are one program: half as many calls from Python.
         worlds, inputs = self._compute_inputs(state.worlds, current)
         for remaining in reversed(range(steps)):
             before, physics = current.qpos, self.engine.advance(physics, inputs)
@@ -284,6 +297,8 @@ class Batch:
             )
             if not bool(finite.all()):
                 broken = state.replace(physics=physics, worlds=finished)
+                # The inputs made above belong to the broken state: the rest of the run starts anew from the
+                # mended one.
                 recovered = self._recover_where(broken, ~finite, before, reset_bad)
                 return self.run(recovered, remaining, reset_bad=reset_bad)
             # Inputs after the last step are thrown away: the next call makes them under its own commands.
@@ -333,6 +348,7 @@ class Batch:
         Raises:
             UsageError: The scene has no mail.
         """
+        # Checked before links are evaluated: an error leaves the state as it was.
         messages = outgoing_messages(self.scene, (self.worlds,), to, payload, length)
         state, _ = self.links(state)
         return state.replace(worlds=state.worlds.replace(mail=self._send(state.worlds, messages)))
@@ -558,6 +574,7 @@ class Annotator:
 
     def __init__(self, batch: Batch) -> None:
         self._batch = batch
+        # TensorFloat-32 would move rays by a millimetre.
         exact = jax.default_matmul_precision("highest")(partial(_annotate_worlds, batch.scene))
         self._annotate: Callable[..., Annotation] = jax.jit(exact, static_argnums=(2, 3))
 
@@ -586,6 +603,7 @@ class Annotator:
             UsageError: A picture of that size cannot be taken.
         """
         then, size = state if later is None else later, (width, height)
+        # The same instant twice, if nothing moves: one program serves both cases.
         moments = [(one.worlds, self._batch.physics(one)) for one in (state, then)]
         return self._annotate(*moments, find_camera(self._batch.scene, group, camera, size), size)
 

@@ -38,6 +38,7 @@ def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Arra
     unclipped = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
     limit = _most_efforts(servos)
     effort = xp.clip(unclipped, -limit, limit)
+    # A product instead of `.at[].add`: NumPy has no such call, and scatters are slow on GPUs.
     return effort @ _joints_of_actuators(plan)
 
 
@@ -50,6 +51,7 @@ def _most_efforts(servos: Servos) -> np.ndarray:
 @cache
 def _joints_of_actuators(plan: KinematicTree) -> np.ndarray:
     """Return 1 where an actuator moves a joint, else 0 (actuators, joints)."""
+    # Part 0 is the chassis, which has no joint.
     scatter = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
     scatter[np.arange(len(plan.actuated)), plan.actuated] = 1.0
     return scatter
@@ -262,6 +264,8 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
     for key, value in values.items():
         index = drive.keys.index(key)
         at_key = np.arange(len(drive.keys)) == index
+        # By masks and not by indexing: the same line runs on NumPy and on traced arrays, with any leading
+        # axes.
         value = xp.asarray(value, xp.float32)[..., None]
         setpoint = xp.where(at_key, xp.clip(value, -drive.limits, drive.limits), setpoint)
     mask, row = _driven_joints(robot)
@@ -357,6 +361,7 @@ def update_command(
         return updated
 
     def select(new: Array, old: Array) -> Array:
+        # Fields have different numbers of trailing axes; the mask has the leading ones alone.
         return xp.where(where.reshape(*shape, *[1] * (new.ndim - len(shape))), new, old)
 
     return jax.tree.map(select, updated, command)
@@ -389,12 +394,14 @@ def compute_actuation(
     target, mode, setpoint = command.target, command.mode, command.setpoint
     if not known_all(powered):
         target = xp.where(powered, target, 0.0)
+        # Velocity zero is what brakes: position mode would drive arms to zero.
         mode = xp.where(powered, mode, VELOCITY)
         setpoint = xp.where(powered, setpoint, 0.0)
     finite, sound = xp.isfinite(target), xp.isfinite(setpoint)
     if known_all(finite) and known_all(sound):
         refused = xp.zeros(powered.shape[:-1], xp.int32)
     else:
+        # Before any arithmetic: `clip` keeps NaN, and one NaN would spread over the world's solver.
         target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
         # A drive that aims joints has its setpoints in their targets already: they would count twice.
         refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
@@ -434,6 +441,8 @@ def _wrench(
         if not known_none(ahead):
             flips = powered & ahead & (remaining <= round(FLIP_TIME / period))
             if not known_none(flips):
+                # Skipped on the host while nobody is righted, which is nearly always; traced code always
+                # computes it.
                 righting = righting_wrench(plan, state, period)
                 wrench = wrench + xp.where(flips[..., None], righting, 0.0)
     return xp.asarray(wrench, xp.float32)
@@ -524,6 +533,7 @@ def _servo(
     speed, low, high, where, clip = servos.speed, servos.low, servos.high, xp.where, xp.clip
     brakes = (mode == VELOCITY) & (target == 0.0) & servos.has_brake if servos.brakes else None
     limits = servos.torque, _windup_limit(servos, v, brakes)
+    # The servo's pull is its stiffness times its lead over the joint: a weaker motor has a shorter lead.
     torque, windup_limit = (_scaled(one, conditions.torque) for one in limits)
     if conditions.speed is not None:
         speed = _scaled(speed, conditions.speed)
@@ -556,6 +566,7 @@ def _servo(
     torque_mode = mode == TORQUE
     if known_none(torque_mode):
         return ctrl, hold, ref
+    # MuJoCo's joint limits are soft: a lasting torque would push the joint past its range.
     outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
     free = torque_mode & ~outward
     # Towards the end of its range it slows down, to get halfway there in every step.
@@ -584,6 +595,7 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     # First the roll, then the pitch: about an axis in between the nose would turn aside.
     rolled = (up[..., 2:] < 0.0) | (xp.abs(mat[..., 2:, 1]) > xp.abs(nose[..., 2:]))
     axis = xp.where(rolled & (xp.abs(nose[..., 2:]) < STEEP_NOSE), side * nose, axis)
+    # Upright and exactly overturned robots have an axis of length 0.
     axis = axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
     spin = matvec(mat, state.angular)
     squared_size = np.square(np.array(plan.robot.dimensions, np.float32))

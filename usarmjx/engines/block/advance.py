@@ -118,6 +118,7 @@ CODE = trees.BEGIN_CODE + LOAD_CODE + trees.SOLVE_CODE + MOVE_CODE + trees.END_C
 def fits(model: mujoco.MjModel) -> bool:
     """Return whether the mass matrices of all trees fit registers, and damping is implicit."""
     m, disabled = untyped(model), _MUJOCO.mjtDisableBit
+    # With either flag MuJoCo integrates without the implicit matrix, which the kernel always has.
     explicit = m.opt.disableflags & int(disabled.mjDSBL_EULERDAMP | disabled.mjDSBL_DAMPER)
     return not explicit and 0 < max(m.tree_dofnum, default=0) <= trees.MOST_SIZE
 
@@ -167,9 +168,11 @@ def make_tables(model: mujoco.MjModel) -> dict[int, dict[str, np.ndarray]]:
     joint = np.stack([m.jnt_type, m.jnt_qposadr, m.jnt_dofadr], axis=1)
     stateful = np.flatnonzero(m.actuator_actadr >= 0) if m.na else np.zeros(0, int)
     acts_on = tree_of[m.actuator_trnid[stateful, 0]]
+    # Sorted by tree: each thread reads a run of its own actuators, and no two write the same activation.
     stateful, acts_on = stateful[np.argsort(acts_on, kind="stable")], np.sort(acts_on)
     acting = [m.actuator_actadr, m.actuator_dyntype, m.actuator_actlimited]
     actuator = np.stack([stateful, *(one[stateful] for one in acting)], axis=1)
+    # Sparse rows of M have no entry for joints of other branches.
     place = np.full((m.nv, m.nv), -1)
     rows = np.repeat(np.arange(int(m.nv)), m.M_rownnz)
     place[rows, m.M_colind] = np.arange(m.nC)
@@ -178,6 +181,7 @@ def make_tables(model: mujoco.MjModel) -> dict[int, dict[str, np.ndarray]]:
         own = np.flatnonzero(m.tree_dofnum == size)
         starts = m.tree_dofadr[own]
         dofs = starts[:, None] + np.arange(int(size))
+        # Joints are in the order of their trees, so two searches give each tree's range.
         edges = np.stack([own, own + 1], axis=1)
         tables[int(size)] = {
             "starts": starts,
@@ -207,6 +211,7 @@ class Advance:
             for size, tables in make_tables(model).items()
         }
         forward = import_module(FORWARD)
+        # The rest of MuJoCo Warp's function, such as the time and the warm start, runs as it is.
         left = {forward._next_activation, forward._next_velocity, forward._next_position}
 
         def launch(kernel: object, *args: object, **kwargs: object) -> None:

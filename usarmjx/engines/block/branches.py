@@ -36,6 +36,8 @@ class Branches:
         if not self._streams:
             return None
         stream = self._streams[which % len(self._streams)]
+        # An event in both directions (here and in `join`): a captured graph takes streams up by such waits
+        # alone.
         stream.wait_stream(stream.device.stream)
         if stream not in self._open:
             self._open.append(stream)
@@ -81,6 +83,7 @@ def narrow_phase(m: Any, d: Any, context: Any) -> None:  # noqa: ANN401 - MuJoCo
     def launch(kernel: object, inputs: list[Any], **kwargs: object) -> None:
         scratch = {id(array) for array in held[1:]}  # the first is of counters, one for each kind
         if kinds:
+            # Kinds that run at the same time would overwrite each other's scratch memory.
             inputs = [warp.empty_like(one) if id(one) in scratch else one for one in inputs]
         kinds.append(inputs)
         warp.launch(kernel, inputs=inputs, stream=branches.stream(len(kinds)), **kwargs)

@@ -71,14 +71,18 @@ def make_table(model: mujoco.MjModel, pairs: np.ndarray, own: np.ndarray) -> Tab
         own: Which of them have settings of their own (pairs,).
     """
     tree = _trees_of_geoms(model)
+    # What does not move has no tree: each such geom is a group of its own, or one box would span the arena.
     group = np.where(tree >= 0, tree, int(tree.max(initial=-1)) + 1 + np.arange(model.ngeom))
     used, place = np.unique(group, return_inverse=True)
+    # Stable: geoms of a group stay in the order of their ids.
     geoms = np.argsort(place, kind="stable")
     first_geom = np.searchsorted(place[geoms], np.arange(len(used) + 1))
     pairs = pairs.reshape(-1, 2)
     kinds = np.sort(model.geom_type[pairs], axis=1)
     always = own | (kinds == PLANE).any(1)
+    # Sorted, so that (a, b) and (b, a) are the same pair of groups.
     both = np.where(always[:, None], ANY, np.sort(place[pairs], axis=1))
+    # A number of its own keeps each always-tested pair from being merged with others.
     alone = np.where(always, np.arange(len(pairs)), -1)
     groups, of_pair = np.unique(np.column_stack([both, alone]), axis=0, return_inverse=True)
     order = np.argsort(of_pair.ravel(), kind="stable")
@@ -125,6 +129,7 @@ def group_boxes(  # noqa: PLR0913 - a kernel's arguments are its buffers
         shape = world % aabb.shape[0]
         half = aabb[shape, geom, 1]
         middle = xpos[world, geom]
+        # Planes have no radius: their boxes reach everywhere.
         side = wp.vec3(FAR, FAR, FAR)
         if rbound[world % rbound.shape[0], geom] > 0.0:
             reach = margin[world % margin.shape[0], geom] + gap[world % gap.shape[0], geom]
@@ -274,10 +279,13 @@ def pairs_function(*settings: int) -> Any:  # noqa: ANN401
             ):
                 kinds = wp.vec2i(geom_type[a], geom_type[b])
                 kind = convex[wp.min(kinds[0], kinds[1]), wp.max(kinds[0], kinds[1])]
+                # Pairs that find no room in the list of their kind go to the common one, so that none is
+                # lost.
                 place = int(convex_room)
                 if kind >= 0:
                     place = wp.atomic_add(convex_count, kind, 1)
                 if place < convex_room:
+                    # MuJoCo Warp's colliders take the geom of the lower type first.
                     pair = wp.vec2i(a, b)
                     if kinds[0] > kinds[1]:
                         pair = wp.vec2i(b, a)
@@ -382,6 +390,7 @@ def append_convex_pairs(  # noqa: PLR0913 - as above
     convex_room = convex_pair.shape[1]
     if k >= wp.min(convex_count[kind], convex_room):
         return
+    # The list's length is only read here: another thread that raised it would move everybody's places.
     place = count[0] + k
     for before in range(kind):
         place += wp.min(convex_count[before], convex_room)
@@ -431,6 +440,7 @@ class BroadPhase:
         inputs = [m.geom_type, *shapes, *own, *lists, self._convex, *poses, d.naconmax, d.naccdmax]
         if TOGETHER:
             held = self.groups <= HELD_GROUPS and d.qpos.device.is_cuda
+            # One number where shared memory holds the boxes: the kernel takes an array all the same.
             boxes = wp.empty(1 if held else 6 * d.nworld * self.groups, dtype=float)
             listed = wp.empty(d.nworld * self.group_pairs, dtype=int)
             more = [self._geoms, self._first_geom, boxes, listed]
@@ -455,4 +465,5 @@ class BroadPhase:
         """Return empty lists of the convex collider's pairs: how many, geoms, own settings, worlds."""
         kinds = max(1, self.convex_kinds)
         pair, own = (wp.empty((kinds, room), dtype=wp.vec2i) for _ in range(2))
+        # Only the counts need zeros: entries beyond them are never read.
         return [wp.zeros(kinds, dtype=int), pair, own, wp.empty((kinds, room), dtype=int)]

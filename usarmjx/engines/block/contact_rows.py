@@ -51,6 +51,7 @@ def row_function() -> Any:  # noqa: ANN401 - Warp's functions have no type
         )
         if i > 0:
             own = solreffriction[0] != 0.0 or solreffriction[1] != 0.0
+            # Friction rows have their weights scaled by `impratio`, as in MuJoCo's mj_makeImpedance.
             ratio = scale * scale
             if i > 1:
                 ratio = ratio * friction[0] * friction[0] / (friction[1] * friction[1])
@@ -87,6 +88,7 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
         aref_out: wp.array2d[float], frictionloss_out: wp.array2d[float],
     ) -> None:
         con = wp.tid()
+        # The launch covers the whole buffer: the number of contacts is known on the GPU only.
         if con >= count[0] or address[con, 0] < 0:
             return
         world, dim, pair = worlds[con], dims[con], geoms[con]
@@ -95,8 +97,10 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
         arm_one, arm_other = position[con] - com[world, root[one]], position[con] - com[world, root[other]]
         speeds = wp.vec3(0.0, 0.0, 0.0)
         for k in range(sizes[world, address[con, 0]]):
+            # Both chains of joints are walked together, the higher index first: a shared joint comes up once.
             dof = wp.max(first, second)
             turn, shift = wp.spatial_top(cdof[world, dof]), wp.spatial_bottom(cdof[world, dof])
+            # A joint above both bodies moves them alike, and its parts cancel.
             jump = float(ancestor[other, dof]) * (shift + wp.cross(turn, arm_other))
             jump -= float(ancestor[one, dof]) * (shift + wp.cross(turn, arm_one))
             parts = frame[con] * jump
@@ -106,6 +110,7 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
                     columns_out[world, 0, place] = dof
                     jacobian_out[world, 0, place] = parts[i]
                     speeds[i] += parts[i] * qvel[world, dof]
+            # Chains end at -1, which is clamped for the look-up alone.
             first = wp.where(first == dof, dof_parent[wp.max(first, 0)], first)
             second = wp.where(second == dof, dof_parent[wp.max(second, 0)], second)
         of_body = world % weights.shape[0]
@@ -175,6 +180,7 @@ def make_constraint(m: Any, d: Any) -> None:  # noqa: ANN401
         update = constraint._efc_contact_update(m.opt.cone, m.flg_adhesion, False)
 
         def launch(kernel: object, *args: object, **kwargs: object) -> None:
+            # One kernel takes the place of two: Jacobian and update are launched where the update would be.
             if kernel is update:
                 launch_rows(m, d)
             elif kernel is not jacobian:

@@ -205,6 +205,7 @@ def fitting_class(sizes: Sequence[tuple[int, int]]) -> str:
         sizes: Of each class, the numbers of shared memory of an island, 0: any, and the most degrees of
             freedom, 0: any, with the Hessian in shared memory.
     """
+    # The last class takes whatever fits none before, so it has no test.
     *first, _ = sizes
     tests = [
         f"n <= {dofs} && small_need_of({dofs}, count, units, hessians) <= {slot} ? {k} : "

@@ -158,6 +158,7 @@ def problem_type() -> Any:  # noqa: ANN401 - Warp's structs have no type
         "worlds trees dofs most_rows most_values most_addresses padded_rows padded_dofs sparse": int,
         "masses impedances warm scratch_size": int,
     }
+    # Warp reads annotations, so the struct's class is made from a table instead of written out.
     fields = {name: kind for names, kind in kinds.items() for name in names.split()}
     return warp.struct(type("BlockProblem", (), {"__annotations__": fields, "__module__": __name__}))
 
@@ -198,6 +199,7 @@ def newton_kernel(size: SizeClass, which: int) -> Any:  # noqa: ANN401 - as abov
 
     solve_islands.__annotations__["p"] = problem_type()
     options = {"enable_backward": False, "grid_stride": False, "cuda_max_registers": size.registers}
+    # A module of its own: options such as fast divisions hold for a whole module.
     return warp.kernel(solve_islands, module="unique", module_options={"fast_math": size.fast}, **options)
 
 
@@ -225,8 +227,10 @@ def make_problem(m: Any, d: Any) -> Any:  # noqa: ANN401 - as above
         "islands": trees * islands.TASK_NUMBERS,
         "tasks": trees * len(CLASSES),
     }
+    # Uninitialised: each step writes what it reads, and clearing would cost a pass over the memory.
     for name, size in sizes.items():
         setattr(p, name, warp.empty(size, dtype=int))
+    # Counted up by atomics from zero.
     p.counts = warp.zeros(len(CLASSES), dtype=int)
     p.worlds, p.trees, p.dofs, p.most_rows = d.nworld, m.ntree, m.nv, d.njmax
     p.most_values = p.padded_dofs = efc.J.shape[-1]
@@ -253,7 +257,9 @@ def solve(m: Any, d: Any) -> None:  # noqa: ANN401 - as above
     for which, size_class in reversed(list(enumerate(CLASSES))):  # the largest, which take longest, first
         groups = min(d.nworld * m.ntree, size_class.most)
         if not size_class.slot:
+            # Fewer groups take islands in turn, so that memory does not grow with the number of worlds.
             groups = max(1, min(groups, SCRATCH_NUMBERS // p.scratch_size))
+            # The struct is copied into each launch: a later class may have another scratch.
             p.scratch = warp.empty(groups * p.scratch_size, dtype=float)
         groups += -groups % (32 // min(size_class.lanes, 32))  # whole warps
         dim, kernel = groups * size_class.lanes, newton_kernel(size_class, which)

@@ -146,6 +146,7 @@ def factor_solve(
     if not fits(m, factor):
         smooth.factor_solve_i(m, d, mass, factor, diagonal, solution, right)
         return
+    # Native code indexes plain memory; `flatten` is a view of contiguous arrays and copies nothing.
     flat = [array.flatten() for array in (mass, right, solution)]
     for tile in m.M_tiles:
         blocks = tile.adr.size
@@ -171,5 +172,6 @@ def factor_solve(
 def smooth_module() -> ModuleType:
     """Return a copy of MuJoCo Warp's module `smooth` with `factor_solve` in place of its own."""
     copied = ModuleType(SMOOTH)
+    # A copy: the module itself serves other models, which may need its own function.
     copied.__dict__.update({**vars(import_module(SMOOTH)), "factor_solve_i": factor_solve})
     return copied

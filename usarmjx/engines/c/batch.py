@@ -60,10 +60,12 @@ class MovedBody:
         begin, count = int(tree.body_bvhadr[body]), int(tree.body_bvhnum[body])
         self._nodes = slice(begin, begin + count)
         leaves: np.ndarray = tree.bvh_nodeid[self._nodes]
+        # Inner nodes have -1.
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
         self._movable = np.flatnonzero(np.isin(self._geoms, self.ids))
         self._rows = np.array([ids.index(geom) for geom in self._geoms[self._movable].tolist()], int)
         self._children, self._levels, self._leaf = _tree_topology(len(self._geoms))
+        # Deepest level first: a parent's box is made of those of its children.
         inner = [nodes[self._children[nodes, 0] >= 0] for nodes, _ in reversed(self._levels)]
         self._merges = [(nodes, *self._children[nodes].T) for nodes in inner if len(nodes)]
         self._worlds: dict[int, BoundingTree] = {}
@@ -136,6 +138,7 @@ class MovedBody:
                 return known
             leaves, order = known.leaves.copy(), known.order
             leaves[changed] = self._present_boxes(model, self._geoms[changed])
+            # After few changes the old order still separates well, and sorting costs more than it saves.
             if len(changed) > REBUILD_FRACTION * len(leaves):
                 order = self._leaf_order(leaves)
         self._worlds[world] = BoundingTree(places, leaves, order, self._node_boxes(leaves[order]))
@@ -146,6 +149,7 @@ class MovedBody:
         return _bounding_boxes(model, geoms, model.geom_pos[geoms], model.geom_quat[geoms], self._frame)
 
     def _write_tree(self, model: mujoco.MjModel, known: BoundingTree) -> None:
+        # Threads have models of their own: each remembers which world's tree it holds.
         if self._written.get(id(model)) is known:
             return
         node_ids = np.full(len(self._children), -1, np.int32)
@@ -170,6 +174,8 @@ class MovedBody:
                 found = order[np.lexsort((along[order], node))]
                 x, y, z = np.maximum.reduceat(high[found], halves).T
                 x, y, z = (x, y, z) - np.minimum.reduceat(low[found], halves).T
+                # Half the surface times the number of leaves: a ray or box meets a node about in proportion
+                # to it.
                 area = np.bincount(parent, count * (x * y + y * z + z * x), len(starts))
                 chosen = np.where((area < least)[node], found, chosen)
                 least = np.minimum(area, least)
@@ -182,6 +188,7 @@ class MovedBody:
         mid, half = leaves[:, :3], leaves[:, 3:]
         bounds[self._leaf, :3], bounds[self._leaf, 3:] = mid - half, -(mid + half)
         for nodes, one, other in self._merges:
+            # With upper corners negated one minimum merges both.
             bounds[nodes] = np.minimum(bounds[one], bounds[other])
         low, high = bounds[:, :3], -bounds[:, 3:]
         return np.hstack([(low + high) / 2, (high - low) / 2])
@@ -233,8 +240,10 @@ def _bounding_boxes(
     body, own = model.geom_bodyid[geoms[0]], model.geom_aabb[geoms]
     with numpy_backend():
         mat = mat_from_quat(quat)
+    # MuJoCo keeps a body's hierarchy in its inertial frame.
     mat = frame.T @ mat
     mid = (pos - model.body_ipos[body]) @ frame + np.einsum("...nij,nj->...ni", mat, own[:, :3])
+    # |R| times the half sizes bounds a turned box.
     return np.concatenate([mid, np.einsum("...nij,nj->...ni", np.abs(mat), own[:, 3:])], -1)
 
 
@@ -281,6 +290,7 @@ def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
     """Return the slice of each component of `INTEGRATION_STATE`."""
     places: dict[mujoco.mjtState, slice] = {}
     start = 0
+    # `mj_getState` packs components in the order of their bits.
     for bit in range(int(mujoco.mjtState.mjNSTATE)):
         part = mujoco.mjtState(1 << bit)
         if INTEGRATION_STATE & part:
@@ -298,6 +308,7 @@ def buffer_warnings(data: mujoco.MjData) -> int:
 def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> None:
     np.copyto(data.qpos, qpos, where=pinned)
     data.qvel[pinned_dof] = 0.0
+    # The warm start belongs to the old place: kept, it would kick the body.
     data.qacc_warmstart[pinned_dof] = 0.0
 
 
@@ -345,6 +356,7 @@ class CEngine(Engine[CState]):
             overflow=np.zeros(self.worlds, np.int32),
             solved=np.zeros((self.worlds, 3), np.int32),
         )
+        # Through a reset: MuJoCo's state has more components than positions, all with defaults.
         return self.reset(blank, np.ones(self.worlds, bool), np.tile(self.model.qpos0, (self.worlds, 1)))
 
     def _save(self, data: mujoco.MjData, state: CState, world: int) -> None:
@@ -355,22 +367,26 @@ class CEngine(Engine[CState]):
         """Step every world by one control step."""
         arrays = jax.tree.map(np.asarray, inputs)
         fields = self._varied_fields(inputs)
+        # A fresh array: states that the caller still holds stay as they were.
         states, overflow = self._applied(engine_state, arrays), np.zeros(self.worlds, np.int32)
         solved = np.zeros((self.worlds, 3), np.int32)
 
         def work(thread: int) -> None:
             model, data = self._models[thread], self._datas[thread]
+            # MuJoCo's counters only grow: what a world adds is the difference.
             before = buffer_warnings(data)
             varied = [(getattr(model, name), values) for name, values in fields.items()]
             for world in range(thread, self.worlds, len(self._datas)):
                 mujoco.mj_setState(model, data, states[world], INTEGRATION_STATE)
                 for array, values in varied:
+                    # In place: MuJoCo holds the addresses of the model's arrays.
                     array[:] = values[world]
                 if arrays.geom_poses is not None and self.moved_body is not None:
                     here = arrays.geom_poses
                     size = None if here.size is None else here.size[world]
                     self.moved_body.move(model, here.pos[world], here.quat[world], size, world)
                 mujoco.mj_step(model, data, nstep=self.physics.substeps)
+                # Threads write disjoint rows of the common arrays, so no lock is needed.
                 mujoco.mj_getState(model, data, states[world], INTEGRATION_STATE)
                 warnings = buffer_warnings(data)
                 overflow[world], before = warnings - before, warnings
@@ -379,7 +395,9 @@ class CEngine(Engine[CState]):
         if self._pool is None:
             work(0)
         else:
+            # `list` waits for all threads and raises what they raised.
             list(self._pool.map(work, range(len(self._datas))))
+        # Copies: views of the states would keep all of them in memory.
         qpos, qvel, act = (states[:, self._parts[part]].copy() for part in VISIBLE_STATE)
         return CState(states, qpos, qvel, act, overflow, solved)
 

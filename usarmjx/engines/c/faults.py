@@ -59,6 +59,7 @@ def faulty_robots(
     """
     bad = _fast_robots(data, indices, limits)
     if not _is_finite(*_state_and_inputs(data)):
+        # Robot by robot only after the test of everything has failed, which is rare.
         bad |= {slot for slot, index in indices.items() if not _is_finite(*_robot_state(data, index))}
     return bad
 
@@ -112,6 +113,7 @@ def step_and_recover(
     """
     before = _saved(model, data)
     mujoco.mj_step(model, data, nstep=substeps)
+    # The whole step at once first: substeps one by one are slower, and needed only to find what failed.
     if _is_finite(*_state_and_inputs(data)) and not _fast_robots(data, indices, limits):
         return RecoveryResult()
     recovery = _Recovery(model, data, indices, limits)
@@ -156,6 +158,7 @@ class _Recovery:
     ) -> None:
         self._model, self._data, self._indices, self._limits = model, data, indices, limits
         self._slots = {int(model.body_treeid[index.body_ids[0]]): slot for slot, index in indices.items()}
+        # Free joints have seven coordinates and six degrees of freedom: qpos needs a table of its own.
         widths = np.diff(np.append(model.jnt_qposadr, model.nq))
         self._qpos_tree = np.repeat(model.body_treeid[model.jnt_bodyid], widths)
 
@@ -178,6 +181,7 @@ class _Recovery:
         robots = faulty_robots(data, self._indices, self._limits)
         bad = {tree for tree, slot in self._slots.items() if slot in robots}
         for values, trees in ((data.qpos, self._qpos_tree), (data.qvel, model.dof_treeid)):
+            # Negated, because NaN compares false.
             bad |= set(trees[~(np.abs(values) <= mujoco.mjMAXVAL)].tolist())
         return bad
 
@@ -187,6 +191,7 @@ class _Recovery:
         pairs = trees[(trees >= 0).all(-1)]
         island = np.isin(np.arange(self._model.ntree), list(bad))
         count = 0
+        # Until nothing is added: contacts link robots in chains.
         while count != island.sum():
             count = island.sum()
             island[pairs[island[pairs].any(-1)]] = True
@@ -202,6 +207,7 @@ class _Recovery:
         robots = sorted(self._slots[tree] for tree in trees if tree in self._slots)
         for k, slot in enumerate(robots):
             index = self._indices[slot]
+            # Pulling actuators off, holding ones on: the joints are held where they are put.
             data.act[list(index.actadr)] = data.ctrl[list(index.actuator_ids)] = 0.0
             data.ctrl[list(index.hold_actuator_ids)] = 1.0
             data.qpos[list(index.qposadr)] = homes[slot][7:]
@@ -210,6 +216,7 @@ class _Recovery:
                 k * PARKED_DISTANCE,
                 PARKED_DISTANCE,
             )
+        # Only after all are parked: a robot not yet reset would occupy the home of one that is.
         for slot in robots:
             start = self._indices[slot].root_qposadr
             data.qpos[start : start + 7] = self._free_home(slot, np.asarray(homes[slot], float))
@@ -221,6 +228,7 @@ class _Recovery:
             pose = free_pose(self._model, self._data, index, pos, quat, no_floor, reach)
             if pose is not None:
                 return np.concatenate(pose)
+        # Nothing is free: an overlap that contacts push apart is better than a robot that is gone.
         return home[:7]
 
     def report(self, trees: set[int]) -> RecoveryResult:

@@ -58,6 +58,7 @@ def free_pose(
     """
     probe = _Probe(model, data, index, quat)
     start = np.array(pos, float)
+    # Only ever raised: a pose above the floor is what the caller asked for.
     start[2] += max(0.0, floor - probe.lowest_point(start))
     probe.restrict_contacts(start, reach)
     for offset in map(np.array, _offsets(reach)):
@@ -111,7 +112,9 @@ class _Probe:
         self._robot_state = np.isin(model.geom_bodyid, index.body_ids)
         self._moving = (model.body_treeid[model.geom_bodyid] >= 0) & ~self._robot_state
         self._root = index.root_qposadr
+        # Its own data: contacts of the probe must not reach the next step's warm start.
         self._data.qpos[:] = data.qpos
+        # Mocap bodies have no qpos.
         self._data.mocap_pos[:], self._data.mocap_quat[:] = data.mocap_pos, data.mocap_quat
         self._data.qpos[self._root + 3 : self._root + 7] = quat
 
@@ -130,6 +133,7 @@ class _Probe:
         model, own = self._model, self._robot_state
         radius = np.where(model.geom_rbound > 0, model.geom_rbound, np.inf)  # planes have none
         away = np.linalg.norm(self._data.geom_xpos - pos, axis=-1)
+        # Everything that any probe can touch: other geoms are left out of all collision tests.
         furthest = max(reach, MAX_DROP + MAX_RAISE) + (away + radius)[own].max()
         near = ~own & (away - radius <= furthest)
         # Robot geoms get only contype and the others only conaffinity, each the union of both bit sets (in
@@ -137,6 +141,7 @@ class _Probe:
         contype, conaffinity = model.geom_contype.copy(), model.geom_conaffinity.copy()
         model.geom_contype[:] = np.where(own, contype | conaffinity << 16, 0)
         model.geom_conaffinity[:] = np.where(near, conaffinity | contype << 16, 0)
+        # MuJoCo tests the bodies' masks first, which the compiler made from the geoms'.
         for bits, of_body in (
             (model.geom_contype, model.body_contype),
             (model.geom_conaffinity, model.body_conaffinity),
@@ -162,6 +167,7 @@ class _Probe:
         for k in range(1, round(MAX_DROP / RAISE_STEP) + 1):
             fixed, moving = self._touches(pos - (0.0, 0.0, k * RAISE_STEP))
             if fixed or moving:
+                # Fixed ground at the same height carries it, whatever else it touches there.
                 return not fixed
         return False
 
@@ -170,5 +176,6 @@ class _Probe:
         free, step = offset, np.array([0.0, 0.0, RAISE_STEP])
         for _ in range(HALVINGS if offset[2] else 0):
             step = step / 2
+            # Bisection: each half is taken if the robot is still free there.
             free = free - step if self.is_free(start + free - step) else free
         return free

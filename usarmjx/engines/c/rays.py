@@ -77,8 +77,10 @@ def cone_meets_box(axes: LocalRays, chord: np.ndarray) -> np.ndarray:
 def _plane(rays: LocalRays) -> np.ndarray:
     point, along, size = rays
     met = -point[2] / along[2]
+    # Planes are met from above only.
     is_met = (along[2] <= -MIN_LENGTH) & (met >= 0.0)
     for i in (0, 1):
+        # A plane of size 0 is infinite.
         is_met &= (size[i] <= 0.0) | (np.abs(point[i] + met * along[i]) <= size[i])
     return np.where(is_met, met, np.inf)
 
@@ -87,12 +89,14 @@ def _box(rays: LocalRays) -> np.ndarray:
     point, along, size = rays
     low, high = (-size - point) / along, (size - point) / along
     first, last = np.minimum(low, high), np.maximum(low, high)
+    # Parallel to a pair of faces the ray has no entry: it is between them everywhere or nowhere.
     flat: np.ndarray = np.abs(along) <= MIN_LENGTH
     if flat.any():
         away: np.ndarray = np.where(np.abs(point) <= size, -np.inf, np.inf)
         first, last = np.where(flat, away, first), np.where(flat, -away, last)
     enters: np.ndarray = np.maximum(np.maximum(first[0], first[1]), first[2])
     leaves: np.ndarray = np.minimum(np.minimum(last[0], last[1]), last[2])
+    # From inside a box a ray meets the far face, as with `mj_ray`.
     is_met = (enters <= leaves) & (leaves >= 0.0)
     return np.where(is_met, np.where(enters >= 0.0, enters, leaves), np.inf)
 
@@ -238,6 +242,7 @@ class Bundles(NamedTuple):
         if start.shape[1] % origins or (turns != np.arange(1, origins) * count).any():
             return None
         fans = along.reshape(len(along), origins, count, 3)
+        # The cone is about the first ray, not the middle one: any ray bounds the others.
         cosine = (fans @ fans[:, :, 0, :, None])[..., 0].min(-1)
         return cls(start[:, ::count], fans, cosine) if cosine.min() > MIN_COSINE else None
 
@@ -298,6 +303,7 @@ class RayPairs:
         unknown = ~self._is_known[pairs.geom]
         if unknown.any():
             is_right[pairs.bundle[unknown] // bundles.point.shape[1]] = False
+        # Rays parallel to faces divide by zero on purpose: `where` drops what comes of it.
         with np.errstate(all="ignore"):
             distance, cosine = self._cast(bundles, pairs)
         return distance.T.reshape(start.shape[:2]), cosine.T.reshape(start.shape[:2]), is_right
@@ -322,6 +328,8 @@ class RayPairs:
         ends = np.searchsorted(robot, np.arange(len(first) + 1))
         products = np.empty((len(geom), 2 * origins))
         for i in range(len(first)):
+            # Robot by robot: one product of all would compute the pairs of every robot with every other's
+            # axes.
             np.matmul(offset[ends[i] : ends[i + 1]], both[i].T, out=products[ends[i] : ends[i + 1]])
         ahead = products[:, :origins] - _dots(axis, away)[robot]
         square = _dots(offset, offset)[:, None] + far[robot] - 2.0 * products[:, origins:]
@@ -330,6 +338,7 @@ class RayPairs:
         sine = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0))
         # Distance of the centre from the side of the cone.
         missed = (square > (reach + radius) ** 2) | (aside * cosine[robot] - ahead * sine[robot] > radius)
+        # Planes have no bound, so their radius is the margin alone: they are never left out.
         pair, origin = np.nonzero(~missed | (radius == MARGIN))
         return Pairs(robot[pair] * origins + origin, geom[pair])
 
@@ -509,6 +518,7 @@ class CRayCaster:
         """
         groups = self._model.geom_group
         before = groups.copy()
+        # `mj_ray` can exclude a single body only, and a robot has many; it does skip whole groups.
         groups[hidden] = HIDDEN_GROUP
         try:
             distance, normal, geom = self._cast(start, along, query)
@@ -528,10 +538,12 @@ class CRayCaster:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distances (rays,), infinite without a hit, normals (rays, 3) and geoms (rays,)."""
         model, data, count = self._model, self._data, len(start)
+        # MuJoCo marks a ray that meets nothing by geom -1.
         distance, normal, geom = np.empty(count), np.zeros((count, 3)), np.full(count, -1, np.int32)
         solid = _solid_groups(query.transparent)
         turns = np.flatnonzero((start[1:] != start[:-1]).any(-1)) + 1
         bounds = [0, *turns.tolist(), count]  # of the rays from each point
+        # Views: `mj_multiRay` takes flat arrays and writes the normals through them.
         lines, normals = along.reshape(-1), normal.reshape(-1)
         groups, shown, few = model.geom_group, None, FEW_RAYS
         before = groups.copy()

@@ -51,6 +51,7 @@ class CWorld:
         ids = [self.model.geom(name).id for name in self._moved_names]
         self.model.geom_sameframe[ids] = 0
         self._moved_body = MovedBody(self.model, ids) if ids else None
+        # The caster holds the model's arrays, which a compilation replaces.
         self._caster: CRayCaster | None = None
 
     def edit(
@@ -74,6 +75,7 @@ class CWorld:
             undo(self._spec)
             self.model, self.data = self._spec.recompile(self.model, self.data)
             raise
+        # Also after a failure: the undone description has been compiled anew, and ids may differ.
         finally:
             self._resolve()
 
@@ -93,6 +95,7 @@ class CWorld:
             inputs: The inputs.
             path: All poses that movable geoms take in the next steps, as for `move`.
         """
+        # In place: assigning the attribute would not reach MuJoCo's memory.
         self.data.ctrl[:], self.data.act[:] = inputs.ctrl, inputs.act
         self.data.xfrc_applied[:] = inputs.xfrc_applied
         self.move(inputs.geom_poses, path)
@@ -154,6 +157,7 @@ class CWorld:
         # The description, too: the next `edit` compiles it.
         self._spec.geom(name).surfacevel[:3] = velocity  # type: ignore - not in the stubs
         model.geom_surfacevel[model.geom(name).id, :3] = velocity
+        # MuJoCo skips surface velocities unless this flag, computed by the compiler, is set.
         model.flg_surfacevel = bool(np.any(model.geom_surfacevel))  # type: ignore - not in the stubs
 
     def hold(self, name: str, pos: Array | Vec3, quat: Array) -> None:

@@ -118,6 +118,7 @@ class Ball:
         """Return the motion after dt [s] on the floor, where it slides until it rolls."""
         (vx, vy), (wx, wy, wz) = now.linear, now.spin
         slip = vx - self.radius * wy, vy + self.radius * wx
+        # The small number gives a rolling ball a slip of 0 and a finite derivative.
         speed = jnp.sqrt(slip[0] ** 2 + slip[1] ** 2 + 1e-12)
         # Friction slows it and turns it: the slip falls by 1 + SPIN times as much as the speed.
         change = jnp.minimum(self.floor_friction * self.gravity * dt, speed / (1.0 + SPIN))
@@ -129,6 +130,8 @@ class Ball:
     def overlaps(self, now: BallMotion, others: Obstacles) -> tuple[Array, Array, Array]:
         """Return the overlap with each obstacle (n,) [m], and the ball's ways out of it, x and y (n,)."""
         none = jnp.zeros_like(others.outline.x)
+        # A disc around the ball grown by the obstacle's own radius turns disc against disc into disc and
+        # point.
         disc = Outlines(now.x, now.y, none + 1.0, none, none, none, self.radius + others.outline.radius)
         depth, x, y = disc_overlap(others.outline, disc)
         return jnp.where(others.touches, depth, -1.0), -x, -y
@@ -138,6 +141,7 @@ class Ball:
 
         def separate(_: int, now: BallMotion) -> BallMotion:
             depth, out_x, out_y = self.overlaps(now, others)
+            # One obstacle at a time: in a corner, pushes out of both at once would go too far.
             worst = jnp.argmax(depth)
             deep, x, y = (part[worst] for part in (depth, out_x, out_y))
             hit = self._bounced(now, others, worst, (x, y))
@@ -158,6 +162,7 @@ class Ball:
         surface_x = others.speed[0][which] - others.turn[which] * arm_y
         surface_y = others.speed[1][which] + others.turn[which] * arm_x
         vx, vy = now.linear[0] - surface_x, now.linear[1] - surface_y
+        # Only an approach is reversed: a ball that already leaves gets no impulse.
         impulse = (1.0 + RESTITUTION) * others.share[which] * jnp.maximum(-(vx * x + vy * y), 0.0)
         zero = jnp.zeros_like(x)
         back = (-self.radius * x, -self.radius * y, zero)
@@ -196,6 +201,7 @@ class Ball:
         friction = np.concatenate([self.solid_friction, self.robot_friction]).astype(np.float32)
         beside = (low < height + self.radius) & (high > height - self.radius + MIN_RISE)
         moved, turn = (after.pos - before.pos) / dt, after.yaw - before.yaw
+        # Wrapped: at +-pi the difference would be a whole turn, and the robot would seem to spin.
         turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn)) / dt
         return Obstacles(
             outline=outline,
@@ -218,10 +224,12 @@ class Ball:
         depth, _, _ = self.overlaps(self.collide(rolled, others), others)
         at_robots = depth[solids.count :]
         stopped = (at_robots > -NEARBY) & (depth.max() > OVERLAP_TOLERANCE)
+        # A robot that would squeeze the ball against a wall stays where it was, as solids do not give way.
         kept = after.replace(
             pos=jnp.where(stopped[:, None], before.pos, after.pos),
             yaw=jnp.where(stopped, before.yaw, after.yaw),
         )
+        # Stopped robots have no speed any more, so the ball collides anew, from before the first attempt.
         others = self.obstacles(height, solids, before, kept, dt)
         return self.collide(rolled, others), kept, stopped
 
@@ -249,6 +257,7 @@ def find_ball(model: mujoco.MjModel, fixed: FixedBodies, geoms: SolidGeoms) -> F
         if len(own) == 1 and model.geom_type[own[0]] == SPHERE and not model.geom_pos[own[0]].any():
             joint = int(model.body_jntadr[body])
             found.append(FoundBall(body, own[0], int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])))
+    # Of several balls none is moved: they would have to push each other.
     return found[0] if len(found) == 1 else None
 
 

@@ -159,7 +159,9 @@ def servos_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         act=model.actuator_actadr[pulls].astype(int),
         qpos=model.jnt_qposadr[joints].astype(int),
         qvel=model.jnt_dofadr[joints].astype(int),
+        # A servo without stiffness never follows: the bound makes its lag huge instead of infinite.
         lag=damping / np.maximum(stiffness, 1e-9),
+        # MuJoCo has a range of zeros for joints without limits.
         low=np.where(limited, model.jnt_range[joints, 0], -np.inf),
         high=np.where(limited, model.jnt_range[joints, 1], np.inf),
         droop=droop[model.jnt_qposadr[joints]],
@@ -183,6 +185,7 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
         dt: Time step [s].
     """
     speed, aim = ctrl[servos.pull], act[servos.act]
+    # Without damping the joint would jump to its target at an infinite speed.
     before, lag = state.qpos[servos.qpos], jnp.maximum(jnp.asarray(servos.lag), 1e-4)
     behind = aim + servos.droop - before
     # Exact solution of lag * q' = target - q for a target that moves at constant speed.
@@ -190,6 +193,7 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
     after = jnp.clip(aim + servos.droop + speed * dt - later, servos.low, servos.high)
     held = ctrl[servos.hold] > 0
     after = jnp.where(held, after, before)
+    # The derivative of the exact solution at the end of the step.
     rate = jnp.where(held, later / lag, 0.0)
     qpos, qvel = set_rows(state.qpos, (servos.qpos, after)), set_rows(state.qvel, (servos.qvel, rate))
     if len(servos.geared_qpos):
@@ -285,6 +289,7 @@ class PlanarRobots:
         robots = self
         for robot in dict.fromkeys(self.specs):
             members = np.flatnonzero([spec is robot for spec in self.specs])
+            # By class, because a stance is computed from the class's geometry.
             own = stances_in(vary, values, robot, members)
             if own is not None:
                 lift = set_rows(jnp.zeros(self.count, jnp.float32), (members, own.lift))
@@ -312,6 +317,7 @@ class PlanarRobots:
 
     def write(self, state: Any, motion: Motion) -> Any:  # noqa: ANN401 - a state with qpos and qvel
         """Return the state of one world with its robots' motion replaced."""
+        # The motion is written to two arrays: unmaterialised, XLA computes it once for each number there.
         motion = materialize(motion)
         root = jnp.concatenate([motion.pos, motion.quat], -1)
         speed = jnp.concatenate([motion.linear, motion.angular], -1)
@@ -329,6 +335,7 @@ class PlanarRobots:
     def footprints(self, motion: Motion) -> Footprints:
         """Return the robots' footprints."""
         yaw = motion.yaw
+        # A tilted robot counts as level: its footprint does not shrink on slopes.
         low = motion.pos[:, 2] - self.clearance
         return Footprints(
             pos=motion.pos[:, :2] + rotate_by_yaw(self.offset, yaw),
@@ -366,6 +373,7 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     for row, body in zip(turn, chassis, strict=True):
         mujoco.mju_quat2Mat(row, model.body_iquat[body])
     axes = turn.reshape(-1, 3, 3)
+    # MuJoCo has principal moments in axes of their own: R diag(I) R^T is the inertia in the chassis' axes.
     inertia = axes @ (model.body_inertia[chassis][:, :, None] * axes.transpose(0, 2, 1))
     return PlanarRobots(
         specs=tuple(robot for robot, _ in robots),
@@ -380,9 +388,11 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         tilt=np.array([stance_of(robot).tilt for robot, _ in robots], np.float32).reshape(-1, 4),
         height=(boxes[:, 1] - boxes[:, 0])[:, 2],
         step=np.array([STEP_SHARE * robot.wheel_radius for robot, _ in robots]),
+        # Everything that hangs on the chassis is pushed along with it.
         mass=model.body_subtreemass[chassis],
         centre=model.body_ipos[chassis],
         inertia=inertia,
+        # `inv` refuses a stack of no matrices of unknown size.
         inverse_inertia=np.linalg.inv(inertia) if len(chassis) else inertia,
     )
 
@@ -395,6 +405,7 @@ def footprint_box(robot: RobotSpec) -> np.ndarray:
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
+    # Visual geoms and sensors that stick out do not count.
     touches = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
     corners: list[np.ndarray] = []
     for geom in touches.tolist():

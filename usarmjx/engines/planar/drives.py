@@ -45,6 +45,7 @@ class RollingWheels:
 
     def rolling_directions(self, joints: Array) -> Array:
         """Return the rolling directions of the wheels (robots, wheels, 2)."""
+        # Wheels without steering (-1) read joint 0, whose angle is thrown away.
         angle = jnp.where(self.steer < 0, 0.0, joints[:, np.maximum(self.steer, 0)])
         return jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
 
@@ -58,6 +59,7 @@ class RollingWheels:
         ahead = self.rolling_directions(joints)
         aside = jnp.stack([-ahead[..., 1], ahead[..., 0]], -1)
         rolls, slides = self._twist_rows(ahead), self._twist_rows(aside)
+        # A passive wheel rolls at any speed; only its sideways motion is forbidden.
         rolls = rolls * jnp.asarray(self.powered, jnp.float32)[:, None]
         rows = jnp.concatenate([rolls, slides], 1)
         wanted = jnp.concatenate([self.radius * spin * self.powered, jnp.zeros_like(spin)], 1)
@@ -106,6 +108,7 @@ class SideWheels:
     def twist(self, joints: Array, spin: Array) -> Array:
         """Return forward speed, lateral speed and yaw rate (robots, 3); see `RollingWheels.twist`."""
         del joints
+        # Small wheels of tracks turn faster for the same speed of the rim.
         rim = self.radius * spin / self.ratio
         left, right = rim[:, : self.left].mean(-1), rim[:, self.left :].mean(-1)
         return jnp.stack([(left + right) / 2, jnp.zeros_like(left), (right - left) / self.track], -1)
@@ -191,6 +194,7 @@ def rolling_groups(
     Raises:
         UnsupportedFeatureError: The drive response of a class is unknown.
     """
+    # By value: two equal descriptions share their wheels and one computation.
     classes: dict[RobotSpec, list[int]] = {}
     for number, (robot, _) in enumerate(robots):
         if rolls(robot.drive):
@@ -252,4 +256,5 @@ def limited_lag(
         return before + part * most * dt * grip
     # Both sides have the same motors: torque that one side uses for turning is lost to forward acceleration.
     effort = (jnp.abs(change) / most).sum(-1, keepdims=True) / (dt * grip)
+    # All components are scaled alike, so that the path keeps its curvature.
     return before + change / jnp.maximum(effort, 1.0)

@@ -83,6 +83,7 @@ def separate_on_warp(proposed: ProposedMotion, neighbors: NeighborList) -> tuple
 def _separate_on_warp(proposed: ProposedMotion, neighbors: NeighborList) -> tuple[Footprints, Array]:
     worlds, robots = proposed.moves.shape
     stacked, near = proposed.stacked, neighbors.packed_obstacles
+    # Kernels take no empty arrays: one number stands for a table that is not read.
     over = jnp.zeros(1, jnp.int32) if stacked is None else jnp.asarray(stacked, jnp.int32).reshape(-1)
     solids = near.reshape(-1) if near.size else jnp.zeros(1)
     found = _kernel(robots)(
@@ -116,6 +117,7 @@ def _gradients(values: tuple[Any, ...], rates: tuple[Any, ...]) -> tuple[Any, An
     return separate_on_warp(*values), jax.jvp(_separate_on_jax, values, rates)[1]
 
 
+# Warp's kernel has no derivative of its own: JAX's version of the same computation provides it.
 _with_jax_gradient = cast(Any, jax.custom_jvp)(_separate_on_warp)  # JAX leaves its types open
 _with_jax_gradient.defjvp(_gradients)
 
@@ -188,6 +190,7 @@ class PlanarEngine(Engine[PlanarState]):
         self._solids: SceneSolids = scene_solids(
             self.model, geoms, stays, neighbor_capacity(self._robots.half)
         )
+        # The order of `SceneSolids.of_world`: still solids, then movable ones.
         still = geoms.ids[~np.isin(geoms.ids, self._solids.movable.ids)]
         order = np.concatenate([still, self._solids.movable.ids])
         self._ball: Ball | None = ball and ball_of(self.model, ball, order, self._robots.chassis)
@@ -216,6 +219,7 @@ class PlanarEngine(Engine[PlanarState]):
                 footprints, footprints, footprints.yaw > 0, None, limit, scene, state.qpos, None
             )
 
+        # Shapes are enough: nothing is computed for a list that the first step builds anew.
         return invalid_neighbor_list(self._solids, jax.eval_shape(proposed_of, state))
 
     def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
@@ -225,15 +229,18 @@ class PlanarEngine(Engine[PlanarState]):
         moves = ~inputs.pinned[:, self._robots.root_qpos[:, 0]]
         turned = PhysicsState(qpos=pinned.qpos, qvel=pinned.qvel, act=pinned.act)
         state, before, after, proposed = jax.vmap(self._aim)(turned, inputs, moves)
+        # Lists are of all worlds at once, outside of `vmap`, under which a condition would always rebuild.
         neighbors = update_neighbors(self._solids, pinned.neighbors, proposed)
         kept, touched = separate_robots(proposed, neighbors)
         if self._ball is not None:
             rolled, kept, stopped = jax.vmap(self._push_ball)(state, proposed, kept)
             state, touched = jax.vmap(self._write_ball)(state, rolled), touched | stopped
         stopped_at = jax.vmap(self._stop)(before, after, kept, touched)
+        # After the pushes: the ground under a robot is that of where it ends.
         ground = ground_below_robots(self._solids, neighbors, kept, proposed)
         moved = jax.vmap(self._finish)(state, before, stopped_at, ground, inputs)
         return PlanarState(
+            # Pinned robots took part as walls, and their own motion is thrown away.
             qpos=jnp.where(inputs.pinned, pinned.qpos, moved.qpos),
             qvel=jnp.where(inputs.pinned_dof, 0.0, moved.qvel),
             act=moved.act,
@@ -261,7 +268,9 @@ class PlanarEngine(Engine[PlanarState]):
         left = robots.footprints(before)
         after, stacked = resolve_stacking(robots, left, after)
         there = robots.footprints(after)
+        # The height range of the whole step: a robot that falls past a ledge would else miss it.
         there = there.replace(low=jnp.minimum(left.low, there.low), high=jnp.maximum(left.high, there.high))
+        # Only randomized robots stand with a tilt that differs from their class's.
         level = before if robots is self._robots else robots.without_tilt(before)
         limit, poses = ground_limits(robots, level), inputs.geom_poses
         scene = self._solids.movable_set.placement(state.qpos, poses)
@@ -311,6 +320,7 @@ class PlanarEngine(Engine[PlanarState]):
 
         # A margin of 0 invalidates the neighbor list, which is then rebuilt; its solids need not be cleared.
         neighbors = engine_state.neighbors.replace(room=clear(engine_state.neighbors.room))
+        # The lists are by far the largest part of the state.
         cleared = jax.tree.map(clear, engine_state.replace(neighbors=()))
         return cleared.replace(qpos=jnp.where(mask[:, None], qpos, engine_state.qpos), neighbors=neighbors)
 

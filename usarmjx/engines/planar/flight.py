@@ -96,6 +96,7 @@ def _step(
     arm = apply(mat, body.centre)
     spin = apply(mat, now.angular)
     centre, speed = plus(now.pos, arm), plus(now.linear, cross(spin, arm))
+    # The centre of mass is moved, not the origin: only there forces and turning are independent.
     speed = plus(speed, times(pull, h))
     own = apply(transposed(mat), torque)
     # Euler's equations: angular rates and inertia are in the body frame.
@@ -134,6 +135,7 @@ def resolve_stacking(robots: PlanarRobots, old: Footprints, after: Motion) -> tu
     over = robots.flies[:, None] & higher & (sunk < aside)
     resting = over & (jnp.maximum(aside, later) > -SIDE_GAP)
     low, upward = new.low, after.linear[:, 2]
+    # One more robot of a stack finds its height in each pass.
     for _ in range(min(MAX_STACK, robots.count - 1)):
         # Robots on the ground have not been placed on it yet in this step.
         tops = jnp.where(resting, jnp.maximum(low, old.low) + robots.height + HELD_GAP, -jnp.inf)
@@ -142,8 +144,10 @@ def resolve_stacking(robots: PlanarRobots, old: Footprints, after: Motion) -> tu
         upward = jnp.where(lifted, jnp.maximum(upward, speed), upward)
         low = jnp.maximum(low, tops.max(-1))
     pos = jnp.concatenate([after.pos[:, :2], (low + robots.clearance)[:, None]], -1)
+    # Others keep their exact bits: heights computed back and forth are rounded.
     pos = jnp.where((low > new.low)[:, None], pos, after.pos)
     linear = jnp.concatenate([after.linear[:, :2], upward[:, None]], -1)
+    # Both ways round: neither pushes the other aside.
     return after.replace(pos=pos, linear=linear), over | over.T
 
 
@@ -156,6 +160,7 @@ def _horizontal_overlap(footprints: Footprints) -> Array:
 def sinc(angle: Array) -> Array:
     """Return sin(x) / x (...), differentiable at 0."""
     small = jnp.abs(angle) < SMALL_ANGLE
+    # The unused branch must be finite: its derivative is multiplied by 0, and 0 times NaN is NaN.
     safe = jnp.where(small, 1.0, angle)
     return jnp.where(small, 1.0 - angle * angle / 6, jnp.sin(safe) / safe)
 
@@ -171,5 +176,6 @@ def rotate(quat: Sequence[Array], angle: Sequence[Array]) -> Components:
     cosine = jnp.where(turns, jnp.cos(size), 1.0 - square / 2)
     sine = jnp.where(turns, sinc(size), 1.0 - square / 6)
     new = quat_times(quat, (cosine, *times(half, sine)))
+    # Products of many steps drift away from length 1 in single precision.
     norm = jnp.sqrt(dot(new, new))
     return tuple(number / norm for number in new)

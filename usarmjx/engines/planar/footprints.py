@@ -168,6 +168,7 @@ def deepest_overlap(robots: Outlines, neighbors: ContactCandidates, same_height:
     def depth(mine: Outlines, solids: Outlines) -> Array:
         return _solid_overlap(mine, solids, discs)[0]
 
+    # In most steps no robot is near anything: then the test of all solids is skipped.
     walls = _compute_if((near.x < FAR_AWAY).any(), depth, robots, near, otherwise=-1.0)
     others = _compute_if(same_height.any(), _robot_overlaps, robots, same_height, otherwise=-1.0)
     # Each of two robots moves its share of the way out.
@@ -175,6 +176,7 @@ def deepest_overlap(robots: Outlines, neighbors: ContactCandidates, same_height:
         *walls,
         *(jnp.where(row > 0, row * share, row) for row, share in zip(others, neighbors.share, strict=True)),
     ]
+    # A chain of comparisons instead of `argmax`: it keeps the first of equals on JAX and Warp alike.
     push, which = rows[0], jnp.zeros(rows[0].shape, jnp.int32)
     for row, other in enumerate(rows[1:], 1):
         which, push = jnp.where(other > push, row, which), jnp.maximum(push, other)
@@ -223,6 +225,7 @@ def _outlines_of(which: Array, near: Outlines, robots: Outlines) -> Outlines:
     place = jnp.where(which < count, solid, robot)
 
     def chosen(one: Array, other: Array) -> Array:
+        # One flat table of solids and robots, so that a single gather serves both.
         return jnp.concatenate([one.reshape(-1), other.reshape(-1)]).at[place].get(mode="promise_in_bounds")
 
     return jax.tree.map(chosen, near, robots)
@@ -257,6 +260,7 @@ def contact_candidates(
 def _same_height(footprints: FootprintComponents, stacked: Array | None) -> Array:
     """Return which robots are side by side, not above each other (robots, robots, worlds)."""
     low, high = footprints.low, footprints.high
+    # The diagonal is left out: a robot always overlaps itself.
     same_height = (low < high[:, None]) & (low[:, None] < high) & ~jnp.eye(len(low), dtype=bool)[..., None]
     return same_height if stacked is None else same_height & ~stacked
 
@@ -327,8 +331,10 @@ def separate_footprints(
         end.outline,
         jnp.bool_(True),
     )
+    # Two more than pushes and restores: evaluations of the proposed and of the old poses.
     kept = jax.lax.fori_loop(0, 2 + PUSH_ITERATIONS + RESTORE_ITERATIONS, turn, start)
     x, y, yaw = kept.footprints.outline.x.T, kept.footprints.outline.y.T, kept.footprints.yaw.T
+    # Robots pushed by others touched something, too, even if they end without an overlap.
     moved = (x != after.pos[..., 0]) | (y != after.pos[..., 1]) | (yaw != after.yaw)
     return after.replace(pos=jnp.stack([x, y], -1), yaw=yaw), kept.touched.T | moved
 
@@ -347,11 +353,13 @@ def _iterate(
     whose overlaps are accepted; the later ones separate.
     """
     is_first, is_second = number == 0, number == 1
+    # A robot that starts inside something could else never move again.
     allowed = jnp.where(is_second, jnp.maximum(found.depth, OVERLAP_TOLERANCE), now.allowed)
     allowed = jnp.where(is_first, OVERLAP_TOLERANCE, allowed)
     depth = jnp.where(is_second, now.depth, found.depth)
     unresolved = depth > allowed
     push = separation_step(now.evaluated, neighbors, found, unresolved.any() & ~is_second)
+    # The second iteration looks at old poses: its pushes are those found by the first.
     push = jax.tree.map(partial(jnp.where, is_second), now.first, push)
     in_world = unresolved.any(0)
     goes, pushes = in_world & ~is_first, number <= PUSH_ITERATIONS

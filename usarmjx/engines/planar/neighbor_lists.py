@@ -112,6 +112,7 @@ class NeighborList(struct.PyTreeNode, kw_only=True):
 
     def displacement(self, at: Array) -> tuple[Margin, Margin]:
         """Return the displacements since the build, with those of lowest points and of height limits."""
+        # Separate square roots and no `norm` of a slice: fused, nothing is stored in between.
         x, y, low, limit = (at[..., i] - self.at[..., i] for i in range(4))
         aside = jnp.sqrt(x * x + y * y)
         return Margin(aside=aside, height=jnp.abs(low)), Margin(aside=aside, height=jnp.abs(limit))
@@ -163,6 +164,7 @@ def max_displacement(left: Footprints, there: Footprints) -> Margin:
     distance = jnp.sqrt(x * x + y * y)
     height = jnp.maximum(left.low - there.low, there.high - left.high)
     return jax.lax.stop_gradient(
+        # A push by another robot is at most as long as that one's own motion.
         Margin(aside=distance + distance.max(-1, keepdims=True) + SEPARATION_SLACK, height=height)
     )
 
@@ -201,11 +203,13 @@ def build_neighbor_list(
     steep = jnp.abs(found.slope_x) + jnp.abs(found.slope_y)
     lowest = found.top + dx * found.slope_x + dy * found.slope_y - size * steep
     deep = lowest - limit[:, None]
+    # Solids that lie below the floor everywhere can never be ground: it is higher.
     may_hold = jnp.where(found.highest < floor, FAR_AWAY, jnp.maximum(apart, deep))
     near, others = _first_by_rank(solids, jnp.where(stops, apart, may_stop + OTHER_HEIGHT_RANK), most)
     obstacle_margin = _margin(apart, higher, steep, others, reach)
     under, others = _first_by_rank(solids, may_hold, GROUND_LIST_LENGTH)
     ground_margin = _margin(apart, deep, steep, others & (found.highest >= floor), reach)
+    # Only those within a step's reach: farther ones are found when the list is rebuilt.
     omitted = (stops & (apart < reach.aside[:, None])).sum(-1) - most
     return NeighborList(
         at=list_poses(footprints, limit),
@@ -236,6 +240,7 @@ def _margin(apart: Array, higher: Array, steep: Array, others: Array, reach: Mar
     by_height = apart * (reach.height + HEIGHT_SLACK)[:, None] < higher * reach.aside[:, None]
     # On slopes half of the vertical distance is reserved for the change along the way.
     until = jnp.where(by_height, jnp.maximum(apart, higher / (2 * jnp.maximum(steep, 1e-6))), apart)
+    # Solids in the list need no margin: they are tested in every step.
     aside = jnp.where(others, until, FAR_AWAY).min(-1, initial=FAR_AWAY)
     crossed = others & by_height & (apart < aside[:, None])
     height = jnp.where(steep > 0, higher / 2, higher)
@@ -253,6 +258,7 @@ def _height_gap(solids: PlanSolids, x: Array, y: Array, low: Array, high: Array,
     aside = jnp.clip(dy * one.cos - dx * one.sin, -one.width, one.width)
     rise = (ahead * one.cos - aside * one.sin) * solids.slope_x
     rise += (ahead * one.sin + aside * one.cos) * solids.slope_y
+    # The highest point of a sloped top within the outline that is nearest to the robot's middle.
     under = low + step - (solids.top + rise)
     return jnp.maximum(under, jnp.maximum(solids.low - high, low - solids.highest))
 
@@ -267,6 +273,7 @@ def _first_by_rank(solids: PlanSolids, rank: Array, most: int) -> tuple[PlanSoli
     """
     count = solids.count
     if count <= most:
+        # All solids fit: the list never becomes invalid by motion.
         everyone = jax.tree.map(lambda part: jnp.tile(part[:, None], (1, len(rank))), solids)
         return everyone, jnp.zeros(rank.shape, bool)
     # Rank and index in one integer: unique keys, equal order on JAX and Warp.

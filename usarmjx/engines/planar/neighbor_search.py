@@ -81,10 +81,13 @@ def masked_update(needed: Array, function: Callable[..., T], known: T, *args: An
     def in_few() -> T:
         # Unused places index past the end: reads are clipped there, writes dropped.
         places = jnp.nonzero(needed, size=few, fill_value=worlds)[0]
+        # The number of places is static, whatever the number of worlds in need: shapes must not depend on
+        # data.
         return scatter_worlds(known, places, function(*take_worlds(args, places)))
 
     count = needed.sum()
     if not few:
+        # Of a few worlds a subset would be empty.
         return jax.lax.cond(count > 0, in_all, lambda: known)
     # switch runs one branch only: nothing, a subset of the worlds, or all.
     which = (count > 0).astype(jnp.int32) + (count > few)
@@ -140,6 +143,7 @@ class SceneSolids:
         data = geoms.moved >= 0
         rows = np.where(data, np.cumsum(data) - 1, -1)
         kinds = np.stack([geoms.kinds, geoms.moved, hold[0][geoms.bodies], hold[1][geoms.bodies], rows], -1)
+        # In double precision on the host: a kernel would turn quaternions into matrices in every step.
         turn = np.zeros((len(geoms.ids), 9))
         for row, geom in zip(turn, geoms.ids.tolist(), strict=True):
             mujoco.mju_quat2Mat(row, model.geom_quat[geom])
@@ -205,7 +209,9 @@ def update_neighbors_on_jax(
         *(then, now, proposed.left, reach.aside),
     )
     needed = jnp.logical_not(stays_valid) | come_near
+    # Only rebuilt lists count what they omit, once and not in every step.
     known = known.replace(omitted=jnp.zeros_like(known.omitted))
+    # The form of the kept list decides, and not the device: a list made in one form stays in it.
     on_warp = not isinstance(known.obstacles, PlanSolids)
     return masked_update(needed, partial(_stored_form, solids, on_warp), known, proposed)
 
@@ -284,6 +290,7 @@ def _launch_search(solids: SceneSolids, known: NeighborList, proposed: ProposedM
     (worlds, robots), room = proposed.moves.shape, solid_capacity(solids.count)
     threads = threads_for(robots)
     assert room is not None, "_fits_on_warp"
+    # Passed in by JAX: a kernel that allocates memory itself cannot be part of a CUDA graph.
     scratch = jnp.zeros(max(worlds * scratch_numbers(room), 1))
     kept = known.at, known.room, known.omitted, known.packed_obstacles, known.packed_ground
     kept = *kept, known.scene.loose, known.scene.geoms

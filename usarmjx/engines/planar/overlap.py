@@ -62,6 +62,7 @@ def rectangle_overlap(one: Outlines, other: Outlines) -> tuple[Array, Array, Arr
         reach = mine.width + theirs.length * s + theirs.width * c
         ways.append(_axis_overlap(reach, aside, -mine.sin, mine.cos))
     depth, out_x, out_y = ways[0]
+    # The first of equal ways wins, as in Warp's version.
     for reach, x, y in ways[1:]:
         nearer = reach < depth
         depth = jnp.where(nearer, reach, depth)
@@ -71,6 +72,7 @@ def rectangle_overlap(one: Outlines, other: Outlines) -> tuple[Array, Array, Arr
 
 def _axis_overlap(reach: Array, apart: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
     """Return the depth along a normal, and the normal pointing to the centre's side."""
+    # Not `sign`, which is 0 for centres above each other: then there would be no way out.
     sign = jnp.where(apart < 0, -1.0, 1.0)
     return reach - jnp.abs(apart), sign * x, sign * y
 
@@ -82,7 +84,9 @@ def disc_overlap(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     out_x = ahead - jnp.clip(ahead, -one.length, one.length)
     out_y = left - jnp.clip(left, -one.width, one.width)
     square = out_x * out_x + out_y * out_y
+    # Far below any length: here direction and derivative of the root are undefined.
     is_in = square < 1e-18
+    # A root of 0 has an infinite derivative, which `where` alone would not keep out of the gradient.
     far = jnp.sqrt(jnp.where(is_in, 1.0, square))
     # Centre inside the rectangle: leave by the nearest side.
     gap_x, gap_y = one.length - jnp.abs(ahead), one.width - jnp.abs(left)
@@ -109,6 +113,7 @@ def contact_coordinates(
     """
     x, y = direction
     mine, theirs = _corners(one), _corners(other)
+    # All corners within the tolerance count: a flat side touches along its whole length, not at a corner.
     low, high = ([cx * x + cy * y for cx, cy in corners] for corners in (mine, theirs))
     bottom, top = _minimum(low), -_minimum([-value for value in high])
     first, last = _corner_span(mine, direction, [value < bottom + FLAT_TOLERANCE for value in low])

@@ -73,10 +73,12 @@ class MovableSolids:
             footprints: The robots.
             reach: Distance from a robot's bounding circle that counts as near [m] (robots,).
         """
+        # Exactly: a geom that stands still has the same bits in every step.
         moved = (then != now).any(-1)
         x, y = footprints.pos[:, :1], footprints.pos[:, 1:]
         out = jnp.linalg.norm(footprints.half, axis=-1) + reach
         near = jnp.zeros((len(out), len(moved)), bool)
+        # Both places count: a door that opens uncovers what the list does not hold.
         for geoms in (then, now):
             at = self.origin + matvec(jnp.asarray(self.turn, jnp.float32), geoms[:, :3])
             # The sum of a geom's sizes bounds its radius.
@@ -149,6 +151,7 @@ def pack_motion(proposed: ProposedMotion) -> Array:
     body = [there.half[..., 0], there.half[..., 1], there.mass, proposed.moves, proposed.left.step]
     numbers = [*places, *body, *(proposed.limit[:, i] for i in range(4))]
     rows = [jnp.broadcast_to(number, proposed.moves.shape).astype(jnp.float32) for number in numbers]
+    # Field by field, so that neighbouring threads of a GPU read neighbouring numbers.
     return jnp.stack(rows).reshape(-1)
 
 

@@ -73,6 +73,7 @@ def read_response(entry: Any, place: str) -> Response:  # noqa: ANN401 - any dat
         raise NotWholeError(f"{place}: has no response with the fields of one")
     for name in NUMERIC_FIELDS:
         value = held[name]
+        # JSON's true is an int in Python.
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise NotWholeError(f"{place}: {name} is {str(value)[:40]}, expected a finite number")
     if not isinstance(held.get("sides_apart", False), bool):
@@ -87,8 +88,10 @@ def description_key(robot: RobotSpec) -> str:
     """Return a digest of a robot's physics; a measurement is valid only for the digest it was made with."""
     spec = mujoco.MjSpec()
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    # `to_xml` needs a compiled description.
     spec.compile()
     motors = [part.motor for part in parts_of(robot)]
+    # Drive and motors are not in MuJoCo's description, but change how the robot answers.
     words = f"{robot.drive!r}\n{motors!r}\n{spec.to_xml()}"
     return hashlib.sha256(words.encode()).hexdigest()[:16]
 
@@ -140,9 +143,11 @@ def find_response(robot: RobotSpec, folder: Path | None = None) -> Response | No
 
     A kept file that is damaged, or for another description, counts as none and is removed, with a warning.
     """
+    # Before the packaged ones: a new measurement is tried out without changing the package.
     if robot in _overrides:
         return _overrides[robot]
     entry = packaged_responses().get(robot.name)
+    # A robot of the same name with another description answers differently.
     if entry is not None and entry["key"] == description_key(robot):
         return Response(**entry["response"])
     file = response_file(robot, folder)

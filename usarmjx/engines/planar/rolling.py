@@ -66,6 +66,7 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
             act=act,
         )
         ahead, turn = answer.gain * now[:, 0], answer.turn_gain * now[:, 2]
+        # In a turn at speed tyres slip outward, in proportion to the lateral acceleration.
         aside = answer.gain * now[:, 1] + answer.drift * ahead * turn
         twist = set_rows(twist, (group.members, jnp.stack([ahead, aside, turn], -1) * size))
     return state, twist
@@ -191,15 +192,18 @@ def place_on_ground(robots: PlanarRobots, before: Motion, after: Motion, ground:
     old, upward = before.pos[:, 2], after.linear[:, 2]
     falling = old + upward * dt - GRAVITY * dt * dt / 2
     z = jnp.where(robots.flies, jnp.maximum(after.pos[:, 2], height), jnp.maximum(height, falling))
+    # In the air a robot keeps its tilt: there is no ground to lie along.
     rolls = ~robots.flies & (z <= height + AIRBORNE_HEIGHT)
     tilted = _orientation_on_slope(_heading(robots, after), rise, lean, parts(robots.tilt))
     # Rotation from the old to the new tilt, in the robot's axes.
     rate = _tilt_change(before.unit, tilted)
+    # On the ground it may still take off: only a downward speed is taken away.
     stands = robots.flies & (after.pos[:, 2] < height)
     held = jnp.where(stands, jnp.maximum(upward, 0.0), upward)
     return after.replace(
         pos=_replace_third(after.pos, z),
         quat=_select_components(rolls, tilted, after.quat),
+        # The vertical speed follows from the heights, so that a robot which lands stops falling.
         linear=_replace_third(after.linear, jnp.where(robots.flies, held, (z - old) / dt)),
         angular=_select_components(rolls, (rate[0] / dt, rate[1] / dt, after.angular[:, 2]), after.angular),
     )
@@ -230,6 +234,7 @@ def _orientation_on_slope(yaw: Array, rise: Array, lean: Array, tilt: Quaternion
     ahead = 1 / long, rise / long
     # The left axis is up x ahead; the quaternion follows from the matrix of the three axes.
     left_x, left_y, left_z = up[1] * ahead[1], up[2] * ahead[0] - up[0] * ahead[1], -up[1] * ahead[0]
+    # Tilts are below half a right angle, so the trace is positive and this root never near 0.
     w = jnp.sqrt(1 + ahead[0] + left_y + up[2]) / 2
     x, y, z = (left_z - up[1]) / (4 * w), (up[0] - ahead[1]) / (4 * w), -left_x / (4 * w)
     c, s = jnp.cos(yaw / 2), jnp.sin(yaw / 2)

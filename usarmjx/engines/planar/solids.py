@@ -62,6 +62,7 @@ class PlanSolids(struct.PyTreeNode, kw_only=True):
 
 def pack_solids(solids: PlanSolids | Array) -> Array:
     """Pack solids (..., k, robots) into one array (..., numbers, k, robots)."""
+    # In the order of the leaves, on which the native code's offsets rely.
     return jnp.stack(jax.tree.leaves(solids), -3) if isinstance(solids, PlanSolids) else jnp.asarray(solids)
 
 
@@ -105,6 +106,7 @@ def solid_geoms(model: mujoco.MjModel, robot_bodies: set[int], moved_ids: list[i
     """
     touches = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     others = [g for g in np.flatnonzero(touches).tolist() if model.geom_bodyid[g] not in robot_bodies]
+    # Floors are ground everywhere, and no obstacle.
     others = [g for g in others if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
     unsupported = [model.geom(g).name for g in others if int(model.geom_type[g]) not in GEOM_TYPES]
     if unsupported:
@@ -144,6 +146,7 @@ def world_solids(
     pos, mat = jnp.asarray(model.geom_pos[geoms.ids]), mat_from_quat(jnp.asarray(model.geom_quat[geoms.ids]))
     size = jnp.asarray(model.geom_size[geoms.ids])
     if poses is not None:
+        # Geoms fixed to their body (-1) read the first pose, which `where` throws away.
         is_moved, place = geoms.moved >= 0, np.maximum(geoms.moved, 0)
         pos = jnp.where(is_moved[:, None], poses.pos[place], pos)
         mat = jnp.where(is_moved[:, None, None], mat_from_quat(poses.quat)[place], mat)
@@ -180,16 +183,20 @@ def project_geoms(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> Pla
     upright = jnp.abs(mat[:, 2])  # vertical component of each axis
     up = jnp.argmax(upright, -1)
     normal = jnp.take_along_axis(mat, up[:, None, None], 2)[..., 0]
+    # The axis may point down: the top is on the other side then.
     normal = normal * jnp.where(normal[:, 2:] < 0, -1.0, 1.0)
     thick = jnp.take_along_axis(half, up[:, None], 1)[:, 0]
     height = (upright * half).sum(-1)
+    # Steeper tops are walls, and round solids have no flat top: those count as level at their highest point.
     flat = box & (normal[:, 2] >= MIN_DRIVABLE_COSINE)
+    # Bounded for steep tops, whose slope is not used: their derivative must stay finite.
     slope = jnp.where(flat[:, None], -normal[:, :2] / jnp.maximum(normal[:, 2:], 0.1), 0.0)
     middle = pos + normal * thick[:, None]
     over = middle[:, 2] + (slope * (pos - middle)[:, :2]).sum(-1)
     # The first side follows the more level one of the two other axes.
     level = jnp.argmin(jnp.where(jnp.arange(3) == up[:, None], 2.0, upright), -1)
     first = jnp.take_along_axis(mat, level[:, None, None], 2)[:, :2, 0]
+    # An axis of length 0 would be one that stands upright, which `argmin` avoids.
     axis = first / jnp.maximum(jnp.linalg.norm(first, axis=-1, keepdims=True), 1e-6)
     along = jnp.abs(axis[:, :1] * mat[:, 0] + axis[:, 1:] * mat[:, 1])
     across = jnp.abs(-axis[:, 1:] * mat[:, 0] + axis[:, :1] * mat[:, 1])
@@ -213,6 +220,7 @@ def _half_box(kinds: np.ndarray, size: Array) -> tuple[np.ndarray, Array]:
     box = kinds == int(geom.mjGEOM_BOX)
     as_is = box | (kinds == int(geom.mjGEOM_ELLIPSOID))
     radius = size[:, :1]
+    # A capsule's length in MuJoCo is without its caps.
     long = jnp.where((kinds == int(geom.mjGEOM_CAPSULE))[:, None], size[:, 1:2] + radius, size[:, 1:2])
     long = jnp.where((kinds == int(geom.mjGEOM_SPHERE))[:, None], radius, long)
     return box, jnp.where(as_is[:, None], size, jnp.concatenate([radius, radius, long], -1))

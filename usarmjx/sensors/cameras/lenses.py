@@ -41,6 +41,7 @@ class CameraRays(NamedTuple):
 
 def pixel_offsets(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the offsets of pixels right and up from the picture's centre [pixels], tile by tile (rays,)."""
+    # Whole tiles: rays of a tile look in similar directions and form one bundle. Extra ones are cut off.
     columns, rows = (-(-side // TILE) * TILE for side in (width, height))
     right = np.broadcast_to(np.arange(columns) + 0.5 - width / 2, (rows, columns))
     up = np.broadcast_to(height / 2 - 0.5 - np.arange(rows), (columns, rows)).T
@@ -101,10 +102,12 @@ def undistort(seen: Array, distortion: Array) -> Array:
     r = seen
     for _ in range(NEWTON_STEPS):
         square = r * r
+        # At the lens's edge the slope is 0, and Newton's step would be infinite.
         slope = xp.maximum(1 + square * (3 * k1 + 5 * k2 * square), MIN_SLOPE)
         r = xp.clip(r - (r * (1 + square * (k1 + k2 * square)) - seen) / slope, 0.0, MAX_RADIUS)
     square = r * r
     error = xp.abs(r * (1 + square * (k1 + k2 * square)) - seen)
+    # A root with a negative slope lies beyond the edge: it is an image that the lens does not form.
     return xp.where((error < DISTORTION_TOLERANCE) & (1 + square * (3 * k1 + 5 * k2 * square) > 0), r, xp.inf)
 
 
@@ -127,6 +130,7 @@ def omni_rays(width: int, height: int, zoom: Array) -> CameraRays:
     radius = np.hypot(right, up) / (min(width, height) / 2)  # in radii of the inscribed circle
     share = radius / zoom
     angle = 2 * xp.arctan(share * math.tan(MIRROR_RIM_ANGLE / 2))
+    # At the centre the direction is arbitrary; it is multiplied by a sine of 0.
     side = np.stack([-right, up], -1) / np.maximum(np.hypot(right, up), 1e-9)[:, None]
     along = xp.concatenate([-xp.cos(angle)[:, None], xp.sin(angle)[:, None] * side], -1)
     return CameraRays(along, xp.ones(len(right)), xp.asarray(share <= 1))

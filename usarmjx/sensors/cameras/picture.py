@@ -162,6 +162,7 @@ def render_picture(
         caster: Ray caster on NumPy; None: JAX.
     """
     view = camera_view(viewpoint, width, height)
+    # Exposure belongs to the camera, so that cameras of one scene can differ.
     exposed = render_scene.replace(exposure=viewpoint.exposure, gain=shadow_gain(render_scene.lights))
     seen = _shade_rays(exposed, viewpoint, view.start, view.along, caster)
     times, inside = viewpoint.supersampling, view.inside
@@ -208,6 +209,7 @@ def camera_view(viewpoint: Viewpoint, width: int, height: int) -> CameraView:
     size = width // eyes * times, height * times
     if viewpoint.lens == "omni":
         rays = omni_rays(*size, xp.tan(viewpoint.default_fov / 2) / xp.tan(viewpoint.fov / 2))
+        # Rays start at the mirror's focus, as its reflections seem to.
         offsets = offsets + xp.array([MIRROR_DISTANCE, 0.0, 0.0])
     else:
         rays = pinhole_rays(*size, viewpoint.fov, viewpoint.distortion)
@@ -298,6 +300,7 @@ def annotate(
         width: Pixels along a row.
         height: Rows.
     """
+    # One ray per pixel: instances and normals cannot be averaged.
     plain = viewpoint.replace(supersampling=1)
     seen = _first_hits(render_scene, plain, width, height)
     there, which = seen.hits.geom_index >= 0, xp.maximum(xp.asarray(seen.hits.geom_index), 0)
@@ -346,6 +349,7 @@ def _project(viewpoint: Viewpoint, point: Array, view: CameraView) -> Array:
     eye = viewpoint.pos + xp.asarray(viewpoint.eye_offsets) @ viewpoint.mat.T
     local = (point - xp.repeat(eye, count, 0)) @ xp.asarray(viewpoint.mat)
     ahead = local[:, :1]
+    # A point behind the camera would be projected upside down.
     flat = -local[:, 1:] / xp.where(ahead > 0, ahead, xp.nan)
     if viewpoint.distortion is not None:
         square = (flat * flat).sum(-1, keepdims=True)

@@ -79,10 +79,12 @@ QR_CELLS = qr_cells()
 
 def noise(i: Array, j: Array, salt: int) -> Array:
     """Return a hash of integers i and j in [0, 1) (...)."""
+    # Unsigned integers wrap around alike in NumPy, XLA and Warp, so pictures are the same on all of them.
     mixed = i.astype(xp.uint32) * np.uint32(374761393) + j.astype(xp.uint32) * np.uint32(668265263)
     mixed = mixed + np.uint32(salt * 974711 + 1)
     mixed = (mixed ^ (mixed >> np.uint32(13))) * np.uint32(1274126177)
     mixed = (mixed ^ (mixed >> np.uint32(16))) * np.uint32(2246822519)
+    # 16 bits are exact in single precision.
     return ((mixed >> np.uint32(8)) & np.uint32(0xFFFF)).astype(xp.float32) / np.float32(65536)
 
 
@@ -210,6 +212,7 @@ def on_face(pos: Array, mat: Array, size: Array, point: Array, normal: Array) ->
     right = xp.where(top, -xp.sign(facing[2]) * local[1], right)
     up = xp.where(top, local[0], local[2])
     wide = xp.where(y & ~top, size[:, 0], size[:, 1])
+    # Rays that met nothing read some geom, which may have a size of 0.
     half = xp.maximum(xp.minimum(wide, xp.where(top, size[:, 0], size[:, 2])), 1e-6)
     return right / half, up / half
 
@@ -436,6 +439,7 @@ def shade(
     first = caster.from_camera(origin, direction, SOLID_QUERY)
     surface = _surface(render_scene, caster, first, origin, direction)
     rgb = _lit(render_scene, caster, surface)
+    # Static: an arena without mirrors compiles no second set of rays.
     if MIRROR in caster.materials:
         gloss = xp.where(surface.hits, xp.asarray(appearance.reflectance)[surface.geom_index], 0.0)
         rgb = _change_if(
@@ -445,6 +449,7 @@ def shade(
         )
     if GLASS in caster.materials:
         pane = caster.from_camera(origin, direction, PANE_QUERY)
+        # Panes behind the first solid surface are hidden.
         pane = pane._replace(geom_index=xp.where(pane.distance < first.distance, pane.geom_index, -1))
         rgb = _change_if(
             (pane.geom_index >= 0).any(),
@@ -501,6 +506,7 @@ def _surface(
     rgb = xp.where(of_floor, _checkers(render_scene, point), rgb)
     if appearance.texture is not None:
         rgb = _with_textures(caster, first, point, normal, rgb)
+    # Off the surface, or its own rounding errors would shade it; these grow with the distance.
     return _Surface(hits, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
 
 
@@ -549,6 +555,7 @@ def _lit(render_scene: RenderScene, caster: Caster, surface: _Surface, *, shadow
         on = xp.asarray(render_scene.headlights.on).any()
         light = _change_if(on, lambda light: light + _headlight(render_scene, surface, dark), light)
     sky = xp.where(day > 0, SKY_RGB, NIGHT_RGB)[:, None]
+    # Clipped before tone mapping, which is defined on [0, 1] only.
     lit = xp.clip(surface.rgb * (light * render_scene.exposure), 0, 1)
     return xp.where(surface.hits, tone_mapped(lit, render_scene.gain), sky)
 
@@ -565,9 +572,11 @@ def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: 
         way, distance = _way(surface.point, pos)
         total = rgb.sum()
         lamp = total * xp.maximum(_dot(surface.normal, way), 0.0) * distance_falloff(distance)
+        # Only the brightest lamp casts a shadow: a ray to each of them would cost as much as the picture.
         more = lamp > best
         best, toward = xp.where(more, lamp, best), xp.where(more, way, toward)
         away, source = xp.where(more, distance, away), xp.where(more, number, source)
+        # Padding lamps are black, and their colour would be 0 / 0.
         colour = xp.where(more, rgb[:, None] / xp.maximum(total, MIN_LIGHT), colour)
     if dark is not None:
         wanted = surface.hits & (best > MIN_LIGHT)

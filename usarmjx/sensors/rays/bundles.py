@@ -64,6 +64,7 @@ class Cone(NamedTuple):
 def bundled(values: jax.Array, size: int) -> jax.Array:
     """Return values of rays (..., rays) in bundles (..., bundles, size), padded with the last value."""
     missing = (*values.shape[:-1], -values.shape[-1] % size)
+    # Copies of the last ray neither widen the cone nor reach farther.
     whole = jnp.concatenate([values, jnp.broadcast_to(values[..., -1:], missing)], -1)
     return whole.reshape(*values.shape[:-1], -1, size)
 
@@ -77,6 +78,7 @@ def bounding_cones(start: XYZ, along: XYZ) -> Cone:
     cosine: jax.Array = jnp.min(turned[0] + turned[1] + turned[2], -1)
     slope = jnp.sqrt(jnp.maximum(1 - cosine**2, 0.0)) / jnp.maximum(cosine, MIN_COSINE) + MIN_SLOPE
     away = sum((at - x[..., None]) ** 2 for at, x in zip(start, tip, strict=True))
+    # Rays of a bundle may start at several mounts: the cone's tip is a ball around their origins.
     thick = jnp.sqrt(away).max(-1) + CONE_MARGIN
     return Cone(tip, axis, thick, jnp.where(cosine < MIN_COSINE, -1.0, slope))
 
@@ -128,6 +130,7 @@ def cone_sphere_distance(
     far = offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2]
     along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2]
     reach = radius + tip_radius
+    # At the far side of the sphere, where the cone is widest.
     width = reach + slope * (along + radius)
     inside = (far - along * along <= width * width) & (along > -reach)
     near = jnp.maximum(jnp.sqrt(far) - reach, 0.0)

@@ -54,8 +54,10 @@ def ray_box(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     near: Any = -math.inf
     far: Any = math.inf
     for axis in range(3):
+        # Parallel to a face the reciprocal is huge instead of infinite: 0 times infinity would be NaN.
         share = 1.0 / xp.where(xp.abs(direction[axis]) < TINY, TINY, direction[axis])
         middle, half = origin[axis] * share, size[axis] * xp.abs(share)
+        # One multiplication instead of a division for each face: this is the kernel most rays run.
         near, far = xp.maximum(near, -middle - half), xp.minimum(far, half - middle)
     return xp.where(near <= far, _nearest(near, far), xp.inf)
 
@@ -83,6 +85,7 @@ def ray_sphere(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
 def _tube(origin: XYZ, direction: XYZ, radius: Array) -> tuple[Array, Array]:
     """Return both crossings of an unbounded tube about z."""
     flat = direction[0] ** 2 + direction[1] ** 2
+    # A ray along the axis never meets the side: it is masked below, with a finite derivative.
     safe = xp.maximum(flat, TINY)
     middle = -(origin[0] * direction[0] + origin[1] * direction[1]) / safe
     x, y = origin[0] + middle * direction[0], origin[1] + middle * direction[1]
@@ -143,6 +146,7 @@ def ray_triangle(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     second, third = x * y3 - y * x3, y * length
     area = length * y3
     slack = EDGE_MARGIN * area
+    # Padding triangles have no area and are never met.
     inside = (second >= -slack) & (third >= -slack) & (second + third <= area + slack) & (area > 0)
     return xp.where(inside & (t >= 0), t, xp.inf)
 
@@ -193,6 +197,7 @@ def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
     """Return centre (None: the frame's origin) and half lengths of a geom's bounding box, in its frame."""
     zero, middle = 0.0 * size[0], None
     if kind == GeomType.mjGEOM_PLANE:
+        # MuJoCo's planes of size 0 are unbounded.
         wide, long = (xp.where(half > 0, half, UNBOUNDED) for half in (size[0], size[1]))
         return middle, (wide, long, zero)
     if kind == GeomType.mjGEOM_SPHERE:
@@ -225,6 +230,7 @@ def surface_normal(kind: int, point: Array, size: Array) -> Array:
     if kind in (GeomType.mjGEOM_PLANE, TRIANGLE_KIND):
         return up
     if kind in (GeomType.mjGEOM_BOX, FENDER_KIND):
+        # The face that the point is farthest out of: hits are off by roundings.
         side = (xp.argmax(xp.abs(point) - size, -1)[..., None] == np.arange(3)).astype(point.dtype)
         return side * xp.sign(point)
     if kind == GeomType.mjGEOM_ELLIPSOID:
@@ -235,6 +241,7 @@ def surface_normal(kind: int, point: Array, size: Array) -> Array:
     along = xp.clip(point[..., 2], -half, half)
     normal = _unit(point - up * along[..., None])
     if kind == GeomType.mjGEOM_CYLINDER:
+        # The nearer surface decides: hits lie on neither exactly.
         on_cap = half - xp.abs(point[..., 2]) < size[..., 0] - xp.hypot(point[..., 0], point[..., 1])
         normal = xp.where(on_cap[..., None], up * xp.sign(point[..., 2:]), normal)
     return normal

@@ -77,6 +77,7 @@ def _masked_cast(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[A
     def run(wanted: Array, args: tuple[Any, ...]) -> T:
         shapes = jax.eval_shape(cast, *args)
         blank = jax.tree.map(lambda hit, miss: jnp.full(hit.shape, miss, hit.dtype), shapes, missed)
+        # The arguments are passed in: a condition must not close over traced arrays of an outer `vmap`.
         return jax.lax.cond(jnp.any(wanted), lambda args: cast(*args), lambda _: blank, args)
 
     @run.def_vmap
@@ -183,6 +184,7 @@ def indexed_blocks(geoms: Geoms, transparent: frozenset[str] = frozenset()) -> l
             info = GeomBlockInfo(kind, count, first, small or kind in COMPACT_KINDS, still)
             found.append(IndexedBlock(info, block))
         first += count
+    # Large geoms first: their hits shorten the rays, and most small ones are then out of reach.
     return sorted(found, key=lambda part: (part.info.compact, part.info.fixed != part.info.compact))
 
 
@@ -283,12 +285,14 @@ def cast_rays(
     angles are constants.
     """
     lines, frames = (None, ()) if fans is None else (fans.directions, (fans.pos, fans.mat))
+    # Directions of fans are static: a GPU keeps them as constants.
     first = differentiable_cast(partial(_nearest_of_frames, lines), geoms, origin, direction, query, *frames)
     cosine: Array = jnp.zeros_like(first.distance)
     if query.incidence:
         cosine = _incidence(query, lines, *jax.lax.stop_gradient((geoms, first, origin, direction, *frames)))
     distance = first.distance
     if fans is None:
+        # Zero directions mark unused rays; fans have none.
         distance = jnp.where((direction != 0).any(-1), distance, jnp.inf)
     return Hits(distance=distance, cosine=cosine)
 
@@ -313,6 +317,7 @@ def _incidence(
             return jnp.where(first.geom_index >= 0, 1.0, 0.0)
         rays = (origin, direction) if lines is None else Fans(frames[0], frames[1], lines)
         return cosines_of_hits(seen, rays, first)
+    # The host of a GPU would have to wait for the condition; computing is quicker.
     wanted = None if jax.default_backend() == "gpu" else query.wanted
     return masked_cast(wanted, _cosines, NO_COSINE, geoms, first, origin, direction)
 

@@ -91,7 +91,9 @@ def nearest_of_bundles(
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
     if not work or not count:
         return GeomHits(jnp.full(count, jnp.inf, jnp.float32), jnp.full(count, -1, jnp.int32))
+    # Equal pieces: full ones and a short rest would pad the rest.
     lines, given, piece = None, rays, -(-count // -(-count // RAYS_AT_A_TIME))
+    # Pieces may cut through a fan: then rays are passed one by one.
     if isinstance(rays, Fans) and piece < count:
         given = rays.rays()
     elif isinstance(rays, Fans):
@@ -123,6 +125,7 @@ def nearest_of_bundles(
     if lines is None:
         split = [bundled(x[0].T, piece).transpose(1, 2, 0) for x in split]
     exclude, wanted = (jnp.full(len(split[0]), number) for number in exclude_and_wanted)
+    # Owners as floats, as in the packed geoms, which they are compared with.
     casts = jnp.zeros(len(split[0]), jnp.int32), exclude.astype(jnp.float32), wanted
     found = merge_vmaps(run)(pack(work)[None], *casts, *split)
     return GeomHits(*(x.reshape(-1)[:count] for x in found))
@@ -204,7 +207,9 @@ def _cast_some(
     bundles = _Bundles(start, along, exclude)
     cone = None if size is None else bounding_cones(start, along)
     shape, own, first = start[0].shape, geoms[world], 0
+    # The range as first distance: what lies beyond it is never nearer.
     found = GeomHits(jnp.full(shape, max_distance, jnp.float32), jnp.full(shape, -1, jnp.int32))
+    # Large geoms come first (`indexed_blocks`) and shorten the rays before many small ones are tested.
     for info in infos:
         block = own[:, :, first : first + info.num_geoms]
         if cone is None or info.num_geoms <= MAX_UNCULLED_GEOMS:
@@ -272,6 +277,7 @@ def _test_near(
         index = rank & low
         numbers = block.at[whose, :, index].get(mode="clip")
         t = _distance(info.kind, numbers, start, along)
+        # Bundles iterate in lockstep: those that are done test an arbitrary geom, which must not count.
         t = jnp.where((rank < NO_RANK)[:, None], t, jnp.inf)
         place = (info.first_index + index)[:, None]
         # Ties go to the first geom of the block, as in a test of all in order.
@@ -300,6 +306,7 @@ def _reduce_rows(both: Callable[[Array, Array], jax.Array], values: jax.Array) -
     A plain reduction along the rows would not be vectorised.
     """
     parts = [values[:, i : i + LANES] for i in range(0, values.shape[1], LANES)]
+    # The barrier keeps XLA from fusing both halves into a plain reduction again.
     lanes: jax.Array = jax.lax.optimization_barrier(reduce(both, parts))  # pyright: ignore[reportUnknownMemberType] - JAX has no type
     while (half := lanes.shape[1] // 2) > 0:
         lanes = both(lanes[:, :half], lanes[:, half:])

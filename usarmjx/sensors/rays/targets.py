@@ -170,6 +170,7 @@ def normals(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Arr
         normal = jnp.where(mine[:, None], surface_normal(kind, point, geom.size), normal)
         before += len(block.owner)
     turned = jnp.stack([sum(geom.mat[:, i, j] * normal[:, j] for j in range(3)) for i in range(3)], -1)
+    # Triangles and surfaces seen from inside face the other way.
     return jnp.where((turned * direction).sum(-1, keepdims=True) > 0, -turned, turned)
 
 
@@ -206,6 +207,7 @@ def _cast_gradient(
         return jnp.concatenate(pos)[which], jnp.concatenate(mat)[which]
 
     (pos, mat), (pos_rate, mat_rate) = placed(geoms), placed(rates[0])
+    # The normal in the geom's axes turns with it.
     own = matvec(jnp.swapaxes(mat, -1, -2), normal)
     # Implicit differentiation: normal . (point of the ray - point of the surface) stays 0 at the hit.
     rate = rates[1] + reach * rates[2] - pos_rate
@@ -213,6 +215,7 @@ def _cast_gradient(
     # Bounded: the gradient of a grazing hit diverges.
     facing = jnp.minimum((normal * direction).sum(-1), -MIN_GRADIENT_COSINE)
     slope = jnp.where(met, -away / facing, 0.0)
+    # JAX wants derivatives of whole numbers to have this type.
     return first, GeomHits(slope, np.zeros(which.shape, jax.dtypes.float0))  # type: ignore - of whole numbers
 
 
@@ -241,8 +244,10 @@ def merge_vmaps(run: Callable[..., Any]) -> Callable[..., Any]:
             return x.reshape(-1, *x.shape[2:])
 
         world = jax.tree.map(number, jax.tree.map(spread, world, batched[1]), geoms, batched[0])
+        # Geoms shared by the batch stay one world: copies would fill the memory.
         geoms = jax.tree.map(lambda x, own: flat(x) if own else x, geoms, batched[0])
         rest = [spread(x, own) for x, own in zip(casts, batched[2:], strict=True)]
+        # Wrapped again: an outer `vmap` calls this rule once more, with longer axes.
         found = merge_vmaps(run)(geoms, jax.tree.map(flat, world), *map(flat, rest))
         shape = jax.tree.leaves(world)[0].shape
         found = jax.tree.map(lambda x: x.reshape(*shape, *x.shape[1:]), found)
