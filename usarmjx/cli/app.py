@@ -47,6 +47,7 @@ def respelt(words: Sequence[str], tell: Callable[[str], None]) -> list[str]:
         words: Arguments after `usarmjx`.
         tell: Takes a line for each old spelling.
     """
+    # The longest name first: `bench rays` has spellings that `bench` has not.
     path = " ".join(words[:2]) if " ".join(words[:2]) in COUNTED else "".join(words[:1])
     names, done = RENAMED.get(path, {}), list[str]()
     for word in words:
@@ -76,6 +77,7 @@ def _with_roster(
     for word in given:
         option, equals, value = word.partition("=")
         if option in old:
+            # An option without its value takes the next word, as click does.
             (counts if option == "--robots" else kinds).append(value if equals else next(given, ""))
         else:
             rest.append(word)

@@ -51,6 +51,7 @@ class ErrorExit:
 
     def __enter__(self) -> None:
         """Begin; from now on old names of settings are reported, a line each."""
+        # Entered by hand: the filters must hold until `__exit__`, over the caller's block.
         self._warnings = warnings.catch_warnings()
         self._warnings.__enter__()
         warnings.simplefilter("always", RenamedSettingWarning)
@@ -119,6 +120,7 @@ def named_roster(ctx: typer.Context, value: Any) -> Any:  # noqa: ANN401 - a ros
     """Refuse rosters, as P2AT:4,P2DX:2, with classes of robots that there are not."""
     with ErrorExit():
         for roster in [value] if isinstance(value, str) else value or ():
+            # Click parses incomplete lines to complete them: then names may be half typed.
             if not ctx.resilient_parsing:
                 check_roster(roster)
     return value
@@ -182,6 +184,7 @@ def search_packages(ctx: typer.Context, folders: list[Path] | None) -> list[Path
     if folders and not ctx.resilient_parsing:
         from usarmjx.models.files.resources import search_first
 
+        # Undone at the end: tests and programs run several commands in one process.
         ctx.call_on_close(search_first(folders))
     return folders
 
@@ -357,10 +360,12 @@ class CompilationWatch:
         """Report compilations that are due at a time [s]."""
         with self._lock:
             busy = self._busy()
+            # While nothing compiles the length is that of the past, so that pauses do not count.
             length = (now if busy else self._last) - self._begun
             if busy or now - self._last <= GAP:
                 if length >= self._next:
                     self._say(f"compiling ... {length:.0f} s")
+                    # To a whole multiple of the interval, so that lines keep their rhythm after a long step.
                     self._next = length - length % self._interval + self._interval
             elif self._next > FIRST:
                 self._say(f"compiled, {length:.0f} s")
@@ -396,6 +401,7 @@ def announce(
         interval: Interval of reports about compilation [s].
         engines: Those that may be built; without `NEEDS_POOL` JAX's pool has a thread for each core.
     """
+    # Environment variables and the cache's folder are read when JAX is imported: later they have no effect.
     if "jax" in sys.modules:
         return
     silence()
@@ -410,6 +416,7 @@ def announce(
             tell(f"note: {complaint}")
         if folder := os.environ.get(JAX_FOLDER):
             warn_once_of_broken_entries(tell, Path(folder))
+    # A thread, as the main one is inside JAX for all the time that is worth reporting.
     threading.Thread(target=_watch, args=(tell, interval), name="compilations", daemon=True).start()
 
 
@@ -424,6 +431,7 @@ def _say_nothing(text: str) -> None:
 
 def _watch(tell: Callable[[str], None], interval: float) -> None:
     """Tell of compilations from the moment on that somebody imports JAX."""
+    # This thread must not import JAX itself: the command decides about its settings before.
     while "jax" not in sys.modules:
         time.sleep(0.1)
     from jax import monitoring

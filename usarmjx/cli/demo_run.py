@@ -129,6 +129,7 @@ def _overlap(hull: np.ndarray, corners: np.ndarray, turn: np.ndarray) -> bool:
 def least_clearance(arena: ArenaSpec, truth: np.ndarray) -> float:
     """Return the least clearance of a P2AT along a path of poses (n, 3) [m]."""
     half, boxes = (P2AT.dimensions[0] / 2, P2AT.dimensions[1] / 2), obstacles(arena)
+    # Unwrapped, so that interpolation between two headings does not turn the long way round.
     smooth = np.column_stack([truth[:, :2], np.unwrap(truth[:, 2])])
     at = np.asarray(np.linspace(0, len(truth) - 1, POSES_PER_REPORT * (len(truth) - 1) + 1), float)
     poses = np.stack([np.interp(at, np.arange(len(truth)), smooth[:, axis]) for axis in range(3)], -1)
@@ -186,6 +187,7 @@ def running_server(errors: Path, console: Console) -> Generator[int]:
             env={**os.environ, **pipe.settings},
             pass_fds=pipe.inherited,
         )
+        # The server has its end now; kept open here, the server would outlive this process.
         pipe.started()
         try:
             with console.status(f"starting a server of {WORLDS} worlds"):
@@ -195,8 +197,10 @@ def running_server(errors: Path, console: Console) -> Generator[int]:
             process.kill()
             process.wait()
             raise
+        # As Ctrl-C does: the demonstration also shows that a server ends in order.
         process.send_signal(signal.SIGINT)
         try:
+            # Read while waiting: a full pipe would keep the server from ending.
             process.communicate(timeout=STOP_LIMIT)
         except subprocess.TimeoutExpired:
             process.kill()
@@ -209,6 +213,7 @@ def running_server(errors: Path, console: Console) -> Generator[int]:
 def _port_of(process: subprocess.Popen[str], errors: Path) -> int:
     """Return the port that a starting server reports on its standard output."""
     assert process.stdout is not None
+    # Reading a line has no timeout; killing the process ends the loop below.
     watchdog = Timer(START_LIMIT, process.kill)
     watchdog.start()
     try:

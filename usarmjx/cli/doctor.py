@@ -213,6 +213,7 @@ def check_ports(ports: Mapping[str, int] = PORTS, viewer: int = VIEWER_PORT) -> 
 def is_free(port: int) -> bool:
     """Return whether one can listen at a port of this machine."""
     try:
+        # By binding, not by connecting: a program may listen without accepting.
         bound_socket(HOST, port).close()
     except UsarmjxError:
         return False

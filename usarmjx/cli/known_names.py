@@ -269,6 +269,7 @@ def names_of(kind: str) -> list[str]:
     # The reader of other JSON files takes a tenth of a second to import, at each press of a key.
     with suppress(OSError, ValueError):
         checksum, _, text = file.read_text().partition("\n")
+        # Two shells may write at once, or a disk be full: a file that is not whole counts as none.
         if checksum == _checksum(text):
             return list(json.loads(text)[kind])
     try:
@@ -290,6 +291,7 @@ def _checksum(text: str) -> str:
 def _asked() -> dict[str, list[str]]:
     """Return the names of all registries from a process of its own: one that completes imports no JAX."""
     code = "import json; from usarmjx.cli.known_names import registered_names as f; print(json.dumps(f()))"
+    # With the variable the process would complete a command line itself instead of running the code.
     environment = {name: text for name, text in os.environ.items() if name != "_USARMJX_COMPLETE"}
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -299,12 +301,14 @@ def _asked() -> dict[str, list[str]]:
         check=True,
         env=environment,
     )
+    # The last line: libraries may print others while they are imported.
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def _fingerprint() -> str:
     """Return a hash of the files that define names: their paths, sizes and times."""
     files = [file for folder in FOLDERS for file in sorted((PACKAGE / folder).rglob("*")) if file.is_file()]
+    # Compiled files change with every import, and define no names.
     kept = [(file, file.stat()) for file in files if "__pycache__" not in file.parts]
     rows = [(str(file), one.st_size, one.st_mtime_ns) for file, one in kept]
     return hashlib.sha256(repr(rows).encode()).hexdigest()[:16]

@@ -84,9 +84,11 @@ def load_command(name: str, place: str, summary: str) -> Any:  # noqa: ANN401 - 
         # With one more command it is a group, which has the command as it is, without options of a program.
         target, function = typer.Typer(), target
         target.command(name)(function)
+    # A Typer of one command may become the command itself; as a group it always has names to look up.
     group = typer.main.get_group(target)
     group.name = name
     command: Any = group.commands.get(name, group)
+    # Signals return to normal only here: importing the command takes seconds, in which Ctrl-C must work.
     command.invoke = with_usual_signals(command.invoke)
     return command
 
@@ -123,6 +125,7 @@ def _hide_arguments(command: Any) -> None:  # noqa: ANN401 - click's, or typer's
         _hide_arguments(inner)
     for param in command.params:
         if getattr(param, "hidden", False):
+            # On the parameter, not its class: other commands use the same class.
             param.get_usage_pieces = _no_usage
 
 
@@ -145,6 +148,7 @@ class LazyGroup(TyperGroup):
     examples: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, **settings: Any) -> None:  # noqa: ANN401 - typer's
+        # Click would keep a dictionary of its own; the lazy mapping replaces it below.
         given: dict[str, Any] = {**settings, "commands": {}}
         super().__init__(**given)
         self.commands: Any = LazyCommands(self.table)
@@ -164,12 +168,14 @@ class LazyGroup(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy
         """Return a command, or None; while help is written, one that has its summary only."""
+        # Click asks for every command to write help; importing all of them takes many seconds.
         if self._summaries_only and cmd_name in self.table:
             summary, heading = self.table[cmd_name][1], self.headings.get(cmd_name)
             return TyperCommand(cmd_name, help=summary, rich_help_panel=heading)
         command = self.commands.get(cmd_name)
         example = f"Example: `{self.examples.get(cmd_name)}`"
         if command is not None and cmd_name in self.examples and example not in (command.epilog or ""):
+            # Added once: the loaded command is kept, and help may be asked for again in one process.
             command.epilog = " ".join(filter(None, (command.epilog, example)))
         if command is not None:
             _hide_arguments(command)

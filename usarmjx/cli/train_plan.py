@@ -151,6 +151,7 @@ def read_settings(task: "Task", options: TrainOptions) -> RunSettings:
         raise UsageError(f"{twice[0]} is given twice, by {option_name(twice[0])} and by --set")
     fields = field_texts(task, {name: value for name, value in data.items() if name not in known})
     asked = RunSettings(training={}, fields={name: text for name, text in texts.items() if name not in known})
+    # The order counts: a file is weakest, then `--set`, then an option of its own.
     return replace(asked.over({}, fields), training={**first, **typed, **options.given})
 
 
@@ -213,6 +214,7 @@ def stop_request() -> "Generator[StopRequest]":
     """Yield the request that signals make of a training; before its first iteration they end the process."""
     from usarmjx.train.learning.trainer import StopRequest
 
+    # Until the trainer catches signals itself, they end the process at once: nothing is worth keeping yet.
     with ExitStack() as early:
         early.enter_context(ends_on_signals())
         with StopRequest(say, early.close) as request:
@@ -277,6 +279,7 @@ def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) 
     recorded = options.resume and options.engine == "auto"
     engine = tried_on(options.engine)
     if recorded:
+        # The engine must be known before JAX is imported: its pool of threads is sized by it.
         engine = next((recorded_engine(one.parent) for one in options.out.glob("seed-*/config.json")), engine)
     announce(f"building worlds for {task} ...", engines=[engine])
     from usarmjx.train.learning.processes import distributed_run

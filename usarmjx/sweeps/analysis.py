@@ -109,6 +109,7 @@ def policy_differences(found: StoredSweep) -> list[Difference]:
             for one, other in combinations(by_policy, 2)
             if (row := _difference(task, (one, by_policy[one]), (other, by_policy[other]))) is not None
         ]
+    # A difference without a p counts as 1, so that the correction is for all comparisons that are shown.
     corrected = holm([row.gain.p if np.isfinite(row.gain.p) else 1.0 for row in rows])
     return [replace(row, p=p) for row, p in zip(rows, corrected, strict=True)]
 
@@ -164,6 +165,8 @@ def aggregates(found: StoredSweep) -> list[Aggregate]:
     for policy in policies:
         parts = [_normalised(found, task, own[task], policy) for task in tasks]
         if all(len(part) for part, _ in parts):
+            # The mean is over the same buildings for all tasks, the interquartile mean over runs of each its
+            # own.
             whole = joined([part for part, _ in parts], alike=True)
             middle = middle_score(joined([plain for _, plain in parts], alike=False))
             rows.append(
@@ -190,6 +193,7 @@ def _normalised(
             table: dict[Any, list[float]] = {}
             for key, score in zip(theirs.keys, theirs.scores.tolist(), strict=True):
                 table.setdefault(key, []).append(score)
+            # NaN for an episode that the anchor has not; it is left out below for all three.
             anchors.append(np.array([np.mean(table.get(key, [np.nan])) for key in mine.keys]))
         elif task in given:
             anchors.append(np.full(len(mine), float(given[task])))
@@ -284,6 +288,7 @@ def _gain(before: CellRecord, after: CellRecord) -> Estimate:
     """Return how much better a cell is than another with its settings, in the episodes that both have."""
     both = sorted(set(before.good) & set(after.good))
     gains = np.array([after.scores[number] - before.scores[number] for number in both], float)
+    # Episodes in one building are not independent: the building is the unit.
     return estimate_groups(gains, [repr(building_of(after, number)) for number in both])
 
 
@@ -435,6 +440,7 @@ def _adjusted(rows: Sequence[AxisRow]) -> list[AxisRow]:
             found += mine
             continue
         pool = episodes_of([record for row in mine for record in row.records], sampled)
+        # One entry for each good episode, in the order in which `episodes_of` lists them.
         places = [place for place, row in enumerate(mine) for one in row.records for _ in one.good]
         means = range_scores(pool, axis, places)
         found += [replace(row, mean=mean) for row, mean in zip(mine, means, strict=True)]
@@ -453,6 +459,7 @@ def axis_values(records: Sequence[CellRecord], axis: str, sampled: Sampled) -> l
     numbers = [float(value) for value in given if _is_number(value)]
     names = tuple(sampled)
     points = len({tuple(record.settings.get(name) for name in names) for record in records})
+    # Sampled values hardly repeat: a range needs several points for an interval.
     most = min(MOST_VALUES, points // FEWEST_POINTS) if axis in sampled else MOST_VALUES
     if len(set(numbers)) <= most or any(value != USUAL and not _is_number(value) for value in given):
         return [

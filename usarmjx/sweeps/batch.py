@@ -115,6 +115,7 @@ class GroupRunner:
             UsageError: A policy that does not fit.
         """
         begun = time.perf_counter()
+        # Spare places repeat the last cell, as shapes are compiled; their results are dropped.
         cells = [*chosen, *[chosen[-1]] * (self._size - len(chosen))]
         weights = jax.tree.map(_stacked, *[cell.driver.weights for cell in cells])
         found = self._play(cells, weights, tick or (lambda share: None))
@@ -142,6 +143,7 @@ class GroupRunner:
 
     def _begin(self, weights: Any) -> Any:  # noqa: ANN401
         """Return the carry of each cell's worlds (cells, episodes, ...)."""
+        # The shapes of a carry do not depend on the weights: those of the first cell are as good as any.
         first = jax.tree.map(lambda rows: rows[0], weights)
         carry = self._policy(first).initial_carry(self._episodes)
         return jax.tree.map(lambda one: jnp.broadcast_to(one, (self._size, *jnp.shape(one))), carry)
@@ -156,6 +158,7 @@ class GroupRunner:
     ) -> tuple[Any, tuple[jax.Array, ...]]:
         """Return carry and actions of all worlds, cell by cell, in a step of the batch."""
         shape = self._size, self._episodes
+        # A key of the cell's seed and the step: the draw does not depend on the place in the batch.
         keys = jax.vmap(jax.random.fold_in, (0, None))(keys, step)
         apart = jax.tree.map(lambda one: one.reshape(*shape, *one.shape[1:]), obs)
 
@@ -216,6 +219,7 @@ class GroupRunner:
             now: Outcome of the step.
             step: Number of steps made.
         """
+        # Only the first end counts: worlds go on into further episodes until all are over.
         first = now.done & ~results.over
         taken = jax.tree.map(partial(jnp.where, first), now.values, results.values)
         results = EpisodeResults(

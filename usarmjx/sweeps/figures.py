@@ -115,6 +115,7 @@ def _figures_of(
         if len(policies) > 1:
             _legend(figure, policies)
         figures.append(figure)
+    # Over all figures of the task, so that panels on different pages compare.
     _alike(scales)
     return figures
 
@@ -169,6 +170,8 @@ def _axis_panel(panel: Axes, axis: str, rows: Sequence[AxisRow], policies: Seque
             any(row.own for row in mine),
         )
         joined = len(mine) >= FEWEST_FOR_LINE and not named
+        # Matplotlib draws no bars at all where one is NaN, so cells without an interval have none of length
+        # 0.
         bar = np.where(np.isfinite([y - low, high - y]), [y - low, high - y], 0.0)
         style: dict[str, Any] = {"color": _colour(number), "marker": _mark(number), "label": label}
         panel.errorbar(x, y, yerr=bar, linestyle="-" if joined else "none", elinewidth=0.9, **style)

@@ -56,6 +56,7 @@ class SweepProgress:
         played = batch * min(share, 1.0)
         if self._compiling is not None:
             group, since = self._compiling
+            # The end of the first step is the end of compiling: JAX compiles within it.
             self._compiling, self._compiled[group] = None, time.monotonic() - since
             self._untimed += played
         self._say(self.done + played)
@@ -73,6 +74,7 @@ class SweepProgress:
         if not group:
             self._untimed += done + failed  # broken cells take no time
         if compiling > 0.0:
+            # Only the first worker of a group counts; others compile the same meanwhile.
             self._compiled.setdefault(group, compiling)
         self._say(float(self.done))
 
@@ -92,7 +94,9 @@ class SweepProgress:
         if timed <= 0:
             return line
         compiling = sum(self._compiled.values())
+        # Without a compilation so far there is no time to multiply, so none is announced.
         more = max(self._compilations - len(self._compiled), 0) if self._compiled else 0
+        # Each worker spends its own seconds, so the time of all is what cells share.
         playing = max(seconds * self._workers - compiling, 0.0)
         left = (self.cells - done) * playing / timed + more * compiling / max(len(self._compiled), 1)
         line += f", about {duration_text(left / self._workers)} left"
@@ -172,10 +176,12 @@ def probe_works(works: Sequence[BatchWork]) -> SweepProbe | None:
     def tick(share: float) -> None:
         times.append(time.perf_counter())
         if len(times) > STEPS or share >= 1.0:
+            # An exception is the only way out of a batch that knows nothing of probes.
             raise _Enough
 
     with suppress(_Enough):
         runner.run([resolved(settings) for _, settings in largest.cells], tick)
+    # The first tick includes building and compiling; differences of the later ones are plain steps.
     first, step = times[0] - begun, (times[-1] - times[0]) / max(len(times) - 1, 1)
     worlds = runner.env.worlds
     groups = {work.group for work in played}
@@ -209,5 +215,6 @@ def memory() -> tuple[int, int]:
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # ru_maxrss is in bytes on macOS and in KiB on Linux.
     unit = 1 if sys.platform == "darwin" else 1024
     return peak * unit, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

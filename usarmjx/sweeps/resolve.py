@@ -128,6 +128,7 @@ def base_task(settings: CellSettings) -> Task:
         task = with_roster(task, settings["roster"])
     named = settings.get("physics", task.physics)
     physics = PHYSICS.get(named) if isinstance(named, str) else named
+    # The task itself, if nothing changes: a copy would not be found in caches that compare by identity.
     return task if physics is task.physics else replace(task, physics=physics)
 
 
@@ -264,10 +265,12 @@ def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str, int]:
         raise UsageError(
             f"arena.seed: the buildings of split {split} are fixed; a seed draws those of {drawn}: set split"
         )
+    # Never renewable: the buildings of a measured episode are fixed.
     recipe = replace(_changed_recipe(recipe, said), split=split, renewable=False)
     levels, sizes = len(recipe.levels), max(len(recipe.sizes), 1) if isinstance(recipe, Buildings) else 1
     recipe = resolve_arenas(recipe, robot, len(task.robots))
     own = _generated(recipe, int(settings["episodes"]), "count" in said)
+    # Strata only if all of them have as many buildings; else a level's sizes count as one stratum.
     return own, split, levels * sizes if len(own.labels) % (levels * sizes) == 0 else levels
 
 
@@ -296,6 +299,7 @@ def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> Labelle
         made = replace(recipe, count=count).arenas()
     except (TypeError, ValueError) as error:
         raise UsageError(f"arena: {error}") from error
+    # Level by level in turn, so that any number of episodes is spread over all difficulties.
     order = [level * count + place for place in range(count) for level in range(levels)]
     arenas = tuple(made[i] for i in order[:episodes])
     return LabelledArenas(arenas=arenas, labels=tuple(map(building_label, arenas)))
@@ -321,6 +325,8 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
     radio = task.radio
     if radio is not None and cell.ranges:
         data = [name for name in RADIO_AS_DATA if f"radio_{name}" in cell.ranges]
+        # Constants that are data do not tell batches apart: any value will do here, as long as it is the
+        # same.
         radio = replace(radio, **dict.fromkeys(data, 0.0))
     varied = () if vary is None else tuple(name for name in QUANTITY_RULES if vary.range_of(name))
     static = () if vary is None else (*(vary.range_of(name) for name in STATIC_RANGES), vary.classes)

@@ -99,10 +99,12 @@ def plan_batches(
     """
     together: dict[Hashable, list[int]] = {}
     for number, signature in enumerate(signatures):
+        # A client drives by the clock over its own connections, so its cell cannot share a batch.
         own = number if alone is not None and alone[number] else None
         together.setdefault((own, tuple(signature.items())), []).append(number)
     groups: list[CellGroup] = []
     for cells in together.values():
+        # A cell of more worlds than the limit still has a place: it is a batch of its own.
         room = max(1, most_worlds // episodes[cells[0]])
         count = -(-len(cells) // room)
         size = -(-len(cells) // count)  # as even as can be: few places are spare
@@ -236,6 +238,7 @@ def _identify(settings: CellSettings, digests: KnownDigests) -> _Identity:
             buildings=cell.labels,
         )
     except UsageError as error:
+        # A cell that stands for nothing has no files to hash: its settings alone name it.
         key = hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:20]
         return _Identity(key=key, fault=str(error))
 
@@ -272,10 +275,12 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int,
     known, digests = 0, KnownDigests()
     forget_resolved()  # files may have changed since
     (number, count), total = part, len(spec.cells)
+    # By places in the whole sweep, not among missing cells: parts on several machines must not overlap.
     mine = range((number - 1) * total // count, number * total // count)
     for place, asked in enumerate(spec.cells):
         settings = {**asked, "engine": choose_engine(str(asked["engine"]), "train")}
         one = _identify(settings, digests)
+        # Two spellings of the same settings are one cell.
         if one.key in keys:
             continue
         keys[one.key] = None
@@ -283,6 +288,7 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int,
             continue
         before = read_cell(folder, one.key)
         if one.signature is None:
+            # A broken cell is tried again when its fault reads differently: a name may exist by now.
             if before is not None and before.failed == one.fault and not retry:
                 known += 1
             else:
@@ -321,6 +327,7 @@ def batches_of(prepared: Prepared) -> list[BatchWork]:
     """Return the pieces of work of a plan."""
     works: list[BatchWork] = []
     for group in prepared.plan.groups:
+        # Of all cells of the group: what is compiled for it depends on all of their arenas.
         name = hashlib.sha256("".join(prepared.cells[place][0] for place in group.cells).encode())
         # Not all cells of the group with each batch: what is sent would grow as the square of the cells.
         kin: dict[tuple[str, ...], dict[str, Any]] = {}
@@ -400,6 +407,7 @@ def play_prepared(
     try:
         with _Keeper(folder, progress, sinks) as keeper:
             keeper.keep(prepared.broken, "")
+            # Batches that end workers come back in halves, until the cell that does it is alone.
             while works:
                 suspects: list[BatchWork] = []
                 for number, records, lost in workers.run(_work(workers, progress, keeper), works):
@@ -436,6 +444,7 @@ class _Keeper:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
+            # After an error `settle` would raise another one in its place.
             if kind is None:
                 self.settle()
         finally:
@@ -447,6 +456,7 @@ class _Keeper:
         Raises:
             WriteError: The cells before these cannot be written.
         """
+        # One batch is pending at most: memory holds no more, and an error shows with the next batch.
         self.settle()
         self._pending = self._writer.submit(write_cells, self._folder, records), records, group
 

@@ -151,6 +151,8 @@ def _of_task(task: str, results: Sequence[RunResult], suite: BenchmarkSuite) -> 
         raise UsageError(f"{task}: the methods have no settings in common")
     keys = sorted(shared)
     tables = {method: _table(runs, keys) for method, runs in by_method.items()}
+    # As many buildings as all have, from the first on: the order of buildings is fixed, so these are the
+    # same.
     width = min(table.shape[2] for table in tables.values())
     tables = {method: table[..., :width] for method, table in tables.items()}
     anchors = [_anchor(getattr(suite.file, name), task, tables) for name in ("zero", "one")]
@@ -186,6 +188,7 @@ def _table(runs: Sequence[Mapping[SettingKey, CellRecord]], keys: Sequence[Setti
 def _anchor(given: str | Mapping[str, float], task: str, tables: Mapping[str, Table]) -> np.ndarray | None:
     """Return the score that counts as 0 or 1 (settings, 1); None: it is not known."""
     if isinstance(given, str):
+        # Over runs and buildings, but for each setting: settings differ in difficulty.
         return np.nanmean(tables[given], (0, 2))[:, None] if given in tables else None
     return np.array([[float(given[task])]]) if task in given else None
 
@@ -284,6 +287,7 @@ def leaderboard_page(results: Sequence[RunResult]) -> str:
         UsageError: Results of another version of a suite.
     """
     lines = [INTRODUCTION.rstrip()]
+    # Scores on split `validation` may have been chosen by, and do not count.
     played = [one for one in results if one.split == "test"]
     for name in sorted({one.suite for one in played}):
         own, suite = [one for one in played if one.suite == name], load_suite(find_suite(name))
@@ -360,6 +364,7 @@ def check_origin(result: RunResult, suite: BenchmarkSuite, run: str | None = Non
             raise UsageError(f"{result.method}, {task}: is not played by the run {shown(result.run)}")
     for task in dict.fromkeys(cell.settings["task"] for cell in result.cells):
         policy = policy_of_run(result.run, task)
+        # A result is written by others: it must not choose which code runs on this machine.
         if run != result.run and runs_code(policy):
             raise UsageError(
                 f"{result.method}: names the run {shown(result.run)}, whose code it does not run by itself; "

@@ -166,6 +166,8 @@ def write_cells(folder: Path, records: Sequence[CellRecord]) -> None:
         return
     with ThreadPoolExecutor(WRITERS) as pool:
         for kept in [pool.submit(write_cell, folder, record) for record in records]:
+            # Only raises: all files are submitted already, and the others are written whatever happens to
+            # one.
             kept.result()
 
 

@@ -74,6 +74,7 @@ def work_in_processes(
         while queue or alone or busy:
             while queue and idle:
                 _give(idle.pop(), queue.pop(0), pieces, tries, busy)
+            # Alone: what else was at work may have taken the memory.
             if not busy and alone:
                 _give(idle.pop(), alone.pop(0), pieces, tries, busy)
             for connection in wait(list(busy)):
@@ -145,6 +146,7 @@ class _Worker:
             return self.connection.recv()
         except (EOFError, OSError):
             self.lost = True
+            # The pipe may end before the process does; without its end there is no exit code.
             self.process.join(GRACE)
             return None, _ending(self.process.exitcode)
         except Exception as error:  # a result whose class is not known here
@@ -168,6 +170,7 @@ def _ending(code: int | None) -> str:
 
 def _end(workers: Sequence[_Worker]) -> None:
     there = [worker for worker in workers if worker.process is not None]
+    # All are asked to end before any is waited for.
     for worker in there:
         worker.close()
         worker.process.terminate()
@@ -211,6 +214,7 @@ def _end_with_parent() -> None:
     """End this process as soon as its parent has ended, whatever it is doing."""
     parent = multiprocessing.parent_process()
     if parent is not None:
+        # Daemon processes end only if their parent ends in order; SIGKILL gives it no time for that.
         parent.join()
         os._exit(1)
 
@@ -223,6 +227,8 @@ def children() -> set[str]:
             fields = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
         except OSError:
             continue
+        # Behind the name in brackets, which may hold blanks itself: state, parent, and the start time as the
+        # 20th.
         if fields[1] == str(os.getpid()):
             found.add(f"{stat.parent.name} {fields[19]}")
     return found
@@ -238,6 +244,7 @@ def end_with_this_process(processes: set[str]) -> "subprocess.Popen[bytes] | Non
     """
     if not processes:
         return None
+    # Isolated and in a session of its own: Ctrl-C in the terminal must not end the guard first.
     guard = subprocess.Popen(
         [sys.executable, "-I", "-c", GUARD], stdin=subprocess.PIPE, start_new_session=True
     )
@@ -301,6 +308,7 @@ class _Connection:
         except Exception as error:
             where = f" at {self._address}" if self._address else ""
             raise UsageError(f"Ray does not start{where}: {quoted(error)}") from error
+        # Only what Ray has started: earlier children have owners of their own.
         self._guard = end_with_this_process(children() - before)
 
     def renew(self) -> None:
@@ -352,6 +360,7 @@ def _by_actors(
             give(alone.pop(0))
         done = _next(ray, list(busy), sentinel)
         if done is None:
+            # In their order again: what was at work is lost, and is done first.
             queue = sorted([number for number, _ in busy.values()] + queue)
             busy.clear()
             idle.clear()
@@ -410,6 +419,7 @@ def _actors(
             return True
 
     devices = int(ray.cluster_resources().get("GPU", 0))
+    # No restarts by Ray: a piece that ends its worker would be given to the next one without being counted.
     start = ray.remote(num_gpus=1 if devices else 0, max_restarts=0)(Actor).remote
     many = min(count or max(1, devices), max(1, most))
     # The sentinel moves to another node if its own is lost: a cluster is more than one node.
@@ -487,6 +497,7 @@ def gpus() -> int:
         return len([one for one in said.split(",") if one.strip() and one.strip() != "-1"])
     if shutil.which("nvidia-smi") is None:
         return 0
+    # By device files: nvidia-smi takes a second, and may hang on a busy driver.
     return len([name for name in os.listdir("/dev") if name.startswith("nvidia") and name[6:].isdecimal()])
 
 

@@ -71,6 +71,7 @@ class CommandLine(Input):
             return
         found = self._complete(self.value)
         common = common_beginning(found)
+        # Only where Tab cannot add a letter do the lines themselves come in turn.
         self._offered = [] if len(found) < 2 or len(common) > len(self.value) else found
         self._begun = common if len(found) > 1 else ""
         self._offer(found if len(found) > 1 else ())
@@ -81,6 +82,7 @@ class CommandLine(Input):
 
     def on_input_changed(self) -> None:
         """Clear the completions that were offered for another line."""
+        # The event also follows what `_put` has written: completions must survive that.
         if self.value not in (*self._offered, self._begun):
             self._offered, self._begun = [], ""
             self._offer(())
@@ -219,6 +221,7 @@ def range_bars(message: Message, longest: float, width: int) -> list[Bar]:
     whole = message.get("Range")
     if whole:  # a scan: from right to left on the wire
         ranges = to_vector(whole)[::-1]
+        # The nearest echo of each cell: a mean would hide an obstacle.
         cells = [min(part) for part in _split(ranges, width) if part]
         drawn = "".join(LEVELS[min(int(len(LEVELS) * cell / longest), len(LEVELS) - 1)] for cell in cells)
         return [(message.get("Name"), drawn, _color(min(ranges), longest))]
@@ -376,6 +379,7 @@ class RangeBars(Static):
             return
         if longest > 0:
             kind = title(message)
+            # The scale only grows, so that bars of one sensor compare over time.
             self._longest[kind] = max(longest, self._longest.get(kind, 0.0))
             self._latest[kind if message.get("Range") == "" else f"{kind} {message.get('Name')}"] = message
 
@@ -392,6 +396,7 @@ class RangeBars(Static):
                 text.append("\n" if ends else " " * max(1, column - NAME_WIDTH - len(drawn)))
         rows = text.plain.count("\n")
         if rows or self._height:
+            # A new layout of the screen takes much longer than new text.
             self.update(text, layout=rows != self._height)
         self._height = rows
 
@@ -545,9 +550,11 @@ class ConsoleApp(App[str]):
 
     async def _begin(self) -> None:
         await self._client.connect()
+        # What is known of the robot belongs to the old connection.
         self._pilot, self._viewed = KeyDriver(self._client.knowledge), -1
         self._stick = JoystickDriver(self._pilot)
         self.say(f"connected to {self._client.host}:{self._client.port}")
+        # Exclusive: the listener of the connection before ends.
         self.run_worker(self._listen(), group="connection", exclusive=True)
 
     async def _listen(self) -> None:

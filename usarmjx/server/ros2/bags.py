@@ -89,6 +89,7 @@ class BagWriter:
         if folder.exists():
             raise UsageError(f"{folder} exists already: a bag is a new folder")
         folder.mkdir(parents=True)
+        # rosbag2 finds a file by this name pattern in the folder.
         self._folder, self._file = folder, f"{folder.stem}_0.mcap"
         self._stream = (folder / self._file).open("wb")
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
@@ -113,6 +114,8 @@ class BagWriter:
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
         self._topics[topic]["message_count"] += 1
         self._first = stamp if self._first < 0 else min(self._first, stamp)
+        # Pictures come after all else, with earlier times: the first and last are not those written first and
+        # last.
         self._last = max(self._last, stamp)
 
     def _channel(self, topic: str, kind: str, qos: Qos) -> int:
@@ -159,6 +162,7 @@ class BagWriter:
             "custom_data": None,
             "ros_distro": "usarmjx",
         }
+        # Written last: a folder without it is an unfinished bag for readers, not a wrong one.
         with atomic_write(self._folder / "metadata.yaml") as fresh:
             fresh.write_text(
                 yaml.dump({"rosbag2_bagfile_information": about}, Dumper=_NoAliases, sort_keys=False),
@@ -249,6 +253,7 @@ def write_bag(
                 drawing = message.value
                 assert isinstance(drawing, Drawing)
                 found = _constant(drawing)
+            # Frames before the first drawing cannot be named: robots are in the drawing.
             elif drawing is None:
                 continue
             else:

@@ -68,6 +68,7 @@ MOST_TAKEN = 64
 
 def write_raw(writer: Writer, data: bytes) -> bool:
     """Write a message's CDR; return False if slow readers had no room for it."""
+    # The binding wants whole words of 4 bytes; CDR readers ignore what follows the message.
     return ddspy_write(writer._ref, data + bytes(-len(data) % 4)) == 0
 
 
@@ -75,6 +76,7 @@ def take_raw(reader: Reader) -> Iterator[bytes]:
     """Yield the CDR of messages that have come; none of a reader that has just been deleted."""
     samples: Any = ddspy_take(reader._ref, ANY_STATE, MOST_TAKEN)
     if not isinstance(samples, int):
+        # Samples without valid data only tell that a writer is gone.
         yield from (bytes(data) for data, about in samples if about.valid_data)
 
 
@@ -153,9 +155,11 @@ def _field(kind: str) -> Any:  # noqa: ANN401 - an annotation of the binding
 
 def domain_config(*, is_local: bool) -> str:
     """Return the configuration of a domain, on this machine's loopback or on its network."""
+    # Multicast over the loopback is not possible on every system: the peer is asked directly, too.
     peers = "<Peers><Peer address='localhost'/></Peers>" if is_local else ""
     config = CONFIG.format(general=LOOPBACK if is_local else "", peers=peers)
     more = os.environ.get("CYCLONEDDS_URI", "")
+    # Cyclone reads a list of configurations, of which later ones win: the user's own comes last.
     return f"{config},{more}" if more else config
 
 
@@ -168,11 +172,14 @@ def dds_qos(qos: Qos, user_data: str) -> DdsQos:
         if qos.is_reliable
         else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.is_latched else Policy.Durability.Volatile,
+        # A closing writer would otherwise dispose its instances, which readers of ROS take for data.
         Policy.WriterDataLifecycle(autodispose=False),
+        # Readers of ROS 2 know only the first version of CDR, and the bytes are written in that form.
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.Userdata(user_data.encode()),
     ]
     if qos.is_latched:
+        # What late readers get is bounded by this policy, not by the writer's history.
         policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
     return DdsQos(*policies)
 
@@ -241,6 +248,7 @@ class DdsTransport:
         self._waiting = WaitSet(self._participant)
         self._waiting.attach(self._closing)
         self._bytes = MessageBytes(RosVersion.ROS2)
+        # Latched: a participant that comes later must learn of the nodes, too.
         self._graph = self._writer(DISCOVERY, DISCOVERY_TYPE, LATCHED, "")
         self._thread = threading.Thread(target=self._read, name="ROS 2 readers", daemon=True)
         self._thread.start()
@@ -265,6 +273,7 @@ class DdsTransport:
         user_data = f"serviceid={'.'.join(f'{one:x}' for one in prefix)};typehash={service_hash(kind)};"
         writer = self._writer(f"rr{name}Reply", f"{kind}_Response", DEFAULT, user_data)
         reader = self._reader(f"rq{name}Request", f"{kind}_Request", DEFAULT, user_data)
+        # Both under the reader's key, so that a service is forgotten as a whole.
         self._writers[reader], self._readers[reader] = [writer], [reader]
         self._attach(reader, lambda data: take(data, self._reply(writer, data)))
         return CycloneEndpoints(lambda: self._forget(reader))
@@ -283,6 +292,7 @@ class DdsTransport:
     def close(self) -> None:
         """Leave the domain."""
         self._closing.set(True)
+        # Before anything is deleted: the thread may be inside a call on a reader.
         self._thread.join(5.0)
         with self._lock:
             self._takers.clear()
@@ -332,6 +342,7 @@ class DdsTransport:
         """Take what comes, until the transport closes."""
         while not self._closing.read():
             self._waiting.wait(WAIT_NS)
+            # Only for the copy: a callback that subscribes would wait for this lock for ever.
             with self._lock:
                 found = list(self._takers.values())
             for reader, take in found:

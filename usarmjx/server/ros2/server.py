@@ -126,6 +126,7 @@ class WorldServices:
             if scope & SCOPE_SPAWNED:
                 self._robots.dismiss()
                 while not self._robots.is_empty:
+                    # `dismiss` removes a robot for each control step, within the share for leaving.
                     await self._stepped.wait()
             if scope & SCOPE_STATE:
                 await self._restart()
@@ -141,7 +142,9 @@ class WorldServices:
 
     async def _restart(self) -> None:
         world = self._server.world
+        # Compiling for a reset may take seconds, for which the loop must step on.
         await asyncio.get_running_loop().run_in_executor(None, world.prepare_reset)
+        # Between two control steps, not in the middle of a service's turn.
         await self._stepped.wait()
         world.reset()
 
@@ -260,6 +263,7 @@ class ParameterServices:
         if known[name].set is None:
             return f"{name} is read-only"
         wanted = _type_of(known[name].get())
+        # ROS 2's parameters are typed statically: an int for a double is refused, as rclcpp does.
         return "" if one["value"]["type"] == wanted else f"{name} is {TYPE_NAMES[wanted]}"
 
     def _describe(self, request: RosMessage) -> RosMessage:
@@ -277,6 +281,7 @@ class ParameterServices:
 def _is_below(name: str, prefixes: list[str], depth: int) -> bool:
     if not prefixes:
         return depth == 0 or name.count(SEPARATOR) < depth
+    # Whole parts only: prefix `R1` must not find `R10.robot_description`.
     below = [prefix for prefix in prefixes if name == prefix or name.startswith(prefix + SEPARATOR)]
     return any(depth == 0 or name[len(prefix) :].count(SEPARATOR) <= depth for prefix in below)
 
@@ -443,6 +448,7 @@ class Ros2Server:
         self._stepped.clear()
         if self._robots is None:
             return
+        # Bounded by what is there now: work that adds work must wait for the next step.
         for _ in range(min(len(self._incoming), MOST_PER_STEP)):
             self._incoming.popleft()()
         self._robots.forget_lost()
@@ -548,6 +554,7 @@ class Ros2Server:
     def _enqueue(self, work: LoopWork) -> None:
         self.counts.received += 1
         if len(self._incoming) >= MOST_INCOMING:
+            # The oldest goes: of commands the latest counts.
             self._incoming.popleft()
             self.counts.dropped += 1
         self._incoming.append(work)
@@ -576,6 +583,8 @@ class Ros2Server:
             self._worker.reply(reply, f"{kind}_Response", await answer)
 
         task = asyncio.get_running_loop().create_task(finish())
+        # The loop keeps only weak references to tasks: without this one a task may be collected while it
+        # runs.
         self._tasks.add(task)
         task.add_done_callback(self._finished)
 

@@ -154,6 +154,7 @@ def _hash(name: str, fields: Mapping[str, str], more: Mapping[str, Mapping[str, 
     top = described.pop(name)
     whole = {
         "type_description": top,
+        # Sorted by name, as the specification of hashes (REP 2016) demands.
         "referenced_type_descriptions": [described[n] for n in sorted(described)],
     }
     return f"RIHS01_{sha256(json.dumps(whole).encode()).hexdigest()}"

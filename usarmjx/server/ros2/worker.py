@@ -102,6 +102,7 @@ class TransportWorker:
         self._stopping = True
         self._wake.set()
         if self._thread.is_alive():
+            # Bounded: a middleware that hangs must not keep the server from ending.
             self._thread.join(10.0)
 
     def advertise(self, topic: str, kind: str, qos: Qos) -> Outlet:
@@ -125,14 +126,17 @@ class TransportWorker:
                 outlet.publisher.close()
                 outlet.publisher = None
 
+        # At once, not in the thread: the loop must make no more messages for it.
         outlet.wanted = False
         self._do(close, changes=True)
 
     def send(self, outlet: Outlet, message: RosMessage) -> None:
         """Send a message; the oldest that waits goes if there are more than the quality keeps."""
+        # The thread may take the message in between: `_next` tells, and nothing is counted twice.
         if len(outlet.waiting) >= outlet.qos.depth and _next(outlet.waiting) is not None:
             self.counts.dropped += 1
         outlet.waiting.append(message)
+        # One entry for each message: an outlet with several takes turns with the others.
         self._ready.append(outlet)
         self._wake.set()
 
@@ -176,6 +180,7 @@ class TransportWorker:
         look = 0.0
         while not self._stopping:
             self._wake.wait(LOOK)
+            # Cleared before the work: what comes during it sets the event again.
             self._wake.clear()
             self._work(transport)
             if time.monotonic() >= look:
@@ -189,6 +194,7 @@ class TransportWorker:
             log.warning("ROS 2: %s", error)
 
     def _work(self, transport: Transport) -> None:
+        # Jobs first: a publisher is made before its first message is sent.
         while self._jobs or self._ready:
             try:
                 if self._jobs:
@@ -200,6 +206,7 @@ class TransportWorker:
                 log.warning("ROS 2: %s", error)
         if self._changed:
             self._changed = False
+            # Once for many changes: a new robot brings a dozen topics.
             transport.announce()
 
     def _send(self, outlet: Outlet) -> None:

@@ -138,6 +138,7 @@ class ZenohTransport:
         """Return a publisher of a topic with messages of a type, by its short name."""
         key, token = self._names(PUBLISHER, topic, dds_type(kind), message_hash(kind), qos)
         reliability = zenoh.Reliability.RELIABLE if qos.is_reliable else zenoh.Reliability.BEST_EFFORT
+        # Dropping, not blocking: a slow subscriber must not stop the thread of all topics.
         how: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP, "reliability": reliability}
         if qos.is_latched:
             made = declare_advanced_publisher(

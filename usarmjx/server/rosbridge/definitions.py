@@ -123,6 +123,7 @@ class RosVersion(IntEnum):
         seconds = math.floor(time)
         rest = round((time - seconds) * 1e9)
         if rest >= 1_000_000_000:
+            # Rounding may give a full second of nanoseconds, which ROS refuses.
             seconds, rest = seconds + 1, 0
         names = ("sec", "nanosec") if self == RosVersion.ROS2 else ("secs", "nsecs")
         return dict(zip(names, (seconds, rest), strict=True))
@@ -130,6 +131,7 @@ class RosVersion(IntEnum):
     def header(self, time: float, frame: str) -> RosMessage:
         """Return the header of data of a time [s] in a frame."""
         header: RosMessage = {"stamp": self.stamp(time), "frame_id": frame}
+        # ROS 1's own publishers overwrite seq; nobody may rely on it.
         return {"seq": 0, **header} if self == RosVersion.ROS1 else header
 
     def fields(self, name: str) -> MessageFields:

@@ -102,9 +102,11 @@ def _putter(version: RosVersion, kind: str) -> _Putter:
 
 def _steps(version: RosVersion, kind: str, aligned: bool) -> Iterator[_Putter]:
     codes, paths = "", list[tuple[str, ...]]()
+    # Nested messages are flattened: alignment in CDR depends on single numbers, not on structures.
     for path, its in _leaves(version, kind, ()):
         base, is_list, _ = split_kind(its)
         code = "" if is_list else FORMATS.get(base, "")
+        # A run has numbers of one size, so its start alone needs alignment.
         if codes and (not code or struct.calcsize(code) != struct.calcsize(codes[0])):
             yield _run(codes, tuple(paths), aligned)
             codes, paths = "", []
@@ -179,6 +181,7 @@ def _list_putter(version: RosVersion, base: str, *, counted: bool) -> _Putter:
         if not len(values):
             return
         if base in FORMATS:
+            # After the count, and only if there are items: CDR does not pad in front of an empty list.
             out += bytes(-len(out) % size)
             out += number_array(base, values)
             return
@@ -236,10 +239,12 @@ class CdrReader:
         if base in BYTES:
             return self._take(length)
         if base not in FORMATS:
+            # Every item has a byte at least: a short message must not announce a list that fills the memory.
             if length > len(self._data) - self._at:
                 self._fail(f"{length} items are announced")
             return [self._value(base, depth + 1) for _ in range(length)]
         if not length:
+            # No alignment for an empty list, as in writing.
             return []
         size = struct.calcsize(FORMATS[base])
         self._at += -self._at % size
@@ -268,6 +273,7 @@ def cbor_values(version: RosVersion, kind: str, value: Any) -> Any:  # noqa: ANN
     base, is_list, _ = split_kind(kind)
     if is_list and base in FORMATS:
         packed = number_array(base, value)
+        # The protocol has uint8[] as a plain byte string; only other numbers have tags.
         return packed if base == "uint8" else CBORTag(TYPED_ARRAYS[base], packed)
     if is_list:
         return [cbor_values(version, base, one) for one in value]
@@ -325,6 +331,7 @@ def publication(
     if compression == Compression.CBOR:
         return dumps({**head, "msg": cbor_values(version, kind, message)})
     whole = MessageBytes(version).whole(kind, message)
+    # The stamp has ROS 1's names whatever the version: rosbridge's own form of cbor-raw.
     return dumps({**head, "msg": {**RosVersion.ROS1.stamp(now), "bytes": whole}})
 
 

@@ -68,6 +68,7 @@ def true_estimate(state: RobotState) -> OdometryEstimate:
     with numpy_backend():
         mat = np.asarray(mat_from_quat(quat))
     pos, linear = np.asarray(state.pos), np.asarray(state.linear)
+    # Linear velocity is in the world's axes, angular velocity in the robot's own already.
     return OdometryEstimate(pos, quat, mat.T @ linear, np.asarray(state.angular))
 
 
@@ -234,6 +235,7 @@ class SensorFrame(NamedTuple):
 def frame_name(text: str) -> str:
     """Return a name in ROS's character set for topics and frames."""
     plain = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    # ROS wants a letter first: a name of digits alone gets one.
     return plain if plain[:1].isalpha() else f"r{plain}"
 
 
@@ -321,6 +323,7 @@ def footprint_transform(
     """
     with numpy_backend():
         mat = np.asarray(mat_from_quat(np.asarray(state.quat)), float)
+    # In the robot's own axes: a wheeled robot on a ramp has its footprint on the ramp.
     below = np.array([0.0, 0.0, -robot.origin_height])
     if not robot.drive.is_wheeled:
         below = mat.T @ np.array([0.0, 0.0, floor - float(state.pos[2])])

@@ -189,6 +189,7 @@ class RosbridgeServer:
         pictures: list[PictureSubscription] = []
         topics = self._topics.all() if self._clients else {}
         for client in self._clients:
+            # Before new commands: a robot that is gone, or taken over, must not follow its trajectory on.
             client.robots.forget_lost()
             client.robots.tick()
             for name, subscription in client.session.due_topics(self._world.time):
@@ -219,6 +220,7 @@ class RosbridgeServer:
         version, how = subscription.version, subscription.compression
         key = topic.name, version, how
         if key not in made and topic.make is not None:
+            # Kept if making fails, too: the other subscribers of this step do not try again.
             made[key] = ""
             try:
                 message = topic.make(version)
@@ -236,6 +238,7 @@ class RosbridgeServer:
             wanted += [(name, one) for name, one in requests.topics.items()]
             for topic, request in wanted:
                 subscription = client.session.subscriptions.get(topic)
+                # Times are sums of floats: without the margin a message slips to the next step now and then.
                 if subscription is None or now < request.due - 1e-6:
                     continue
                 version, how = subscription.version, subscription.compression
@@ -264,6 +267,7 @@ class RosbridgeServer:
             one.subscription.last_revision, one.subscription.due = one.revision, now + IMAGE_PERIOD
         frames = await self._render_thread.render(views.values(), make)
         for one, frame in zip(subscriptions, frames, strict=True):
+            # The client may have unsubscribed during the rendering.
             if one.subscription.requests:
                 one.subscription.put(frame, one.revision, now)
                 one.subscription.due = max(one.subscription.due, now + IMAGE_PERIOD)
@@ -295,8 +299,10 @@ class RosbridgeServer:
         except PeerError as error:
             self._fault_log.warning("%s: %s", peer, error)
         finally:
+            # Cancelled first: nothing may be sent while the client's robots leave.
             sender.cancel()
             self._clients.remove(client)
+            # A robot of another client that it drove would otherwise drive on for ever.
             client.robots.stop_driven()
             client.robots.dismiss()
             log.info("%s: disconnected", peer)
@@ -368,6 +374,7 @@ class RosbridgeServer:
         """Return None to begin a websocket: for pages from known names, and for clients that are no page."""
         names = {self._settings.host, *self._settings.names}
         origins = [origin.partition("://")[2] for origin in request.headers.get_all("Origin")]
+        # Browsers send Origin always, programs do not: only pages are checked.
         if not all(is_own_name(origin, names) for origin in origins):
             return connection.respond(HTTPStatus.FORBIDDEN, FROM_ELSEWHERE)
         if "websocket" not in ",".join(request.headers.get_all("Upgrade")).lower():

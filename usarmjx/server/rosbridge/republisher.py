@@ -81,6 +81,7 @@ class TransformRequests:
             raise UsageError(f"a goal of {ACTION} has goal_id and goal")
         name = str(head.get("id", ""))[:200]
         if name not in self.goals and len(self.goals) >= MOST_GOALS:
+            # The oldest yields: clients of this action often forget to cancel.
             self.goals.pop(next(iter(self.goals)))
         self.goals[name] = read_request(name, goal)
 
@@ -125,6 +126,7 @@ def resolve(transforms: Sequence[RosMessage], request: TransformRequest) -> list
     found: list[tuple[str, Pose]] = []
     for source in request.sources:
         there = _in_root(parents, source)
+        # Frames of different trees have no relation, as those of a world without a map frame.
         if here is None or there is None or here[0] != there[0]:
             continue
         (mat, pos), (other_mat, other_pos) = here[1], there[1]
@@ -138,6 +140,7 @@ def _in_root(parents: Mapping[str, RosMessage], frame: str) -> tuple[str, Pose] 
     if not known:
         return None
     mat, pos = np.eye(3), np.zeros(3)
+    # Bounded by the number of frames: a loop among parents must not hang the server.
     for _ in range(len(parents)):
         if frame not in parents:
             break

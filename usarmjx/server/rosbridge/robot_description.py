@@ -76,6 +76,7 @@ def _add_joint(root: Element, part: Part, above: str) -> None:
     _add_origin(joint, part.at, part.rotation)
     SubElement(joint, "axis", xyz=_numbers(flip_vector(part.axis)))
     if slides or limited:
+        # URDF requires a limit of every prismatic joint, also of one without limits.
         low, high = part.limits or (-1.0, 1.0)
         motor = part.motor
         SubElement(
@@ -93,4 +94,5 @@ def _add_origin(parent: Element, at: Vec3, rotation: Vec3) -> None:
 
 
 def _numbers(values: Sequence[float]) -> str:
+    # Adding zero turns -0 into 0.
     return " ".join(f"{value + 0.0:.6g}" for value in values)

@@ -88,6 +88,7 @@ class RosRobots:
 
     def forget_lost(self) -> None:
         """Forget robots that are gone, or that another client has taken over."""
+        # A list, as the loop removes from it.
         for own in [one for one in self._own if one.robot is None or one.lost]:
             self._own.remove(own)
             self._detach(own)
@@ -143,6 +144,7 @@ class RosRobots:
         world = self._server.world
         self._runs.clear()
         for robot in self._driven:
+            # Its slot may have another robot by now.
             if world.robots.get(robot.slot) is robot and robot.controller is None:
                 still: dict[str, ArrayLike] = dict.fromkeys(robot.spec.drive.keys, 0.0)
                 world.update_command(robot, CommandUpdate(drive=still))
@@ -196,6 +198,7 @@ def _numbers(pose: object, part: str, axes: str) -> list[float]:
     if values is None:
         raise UsageError(f"a pose has {part} with {', '.join(axes)}")
     numbers: list[Any] = [values.get(axis, 0.0) for axis in axes]
+    # Exact types: a bool is an int for isinstance.
     if not all(type(one) in (int, float) and abs(one) < 1e6 for one in numbers):
         raise UsageError(f"{part} of a pose has numbers {', '.join(axes)}")
     return [float(one) for one in numbers]
@@ -387,6 +390,8 @@ class RosApi:
             except KeyError:
                 raise UsageError(f"no type {clip(asked)} is known here") from None
             definitions.append(_definition(name, fields, long="/msg/" in asked))
+            # Seen types are kept apart from waiting ones: a type that contains itself by way of another would
+            # never end.
             inner = [base for base in (kind.partition("[")[0] for kind in fields.values()) if "/" in base]
             waiting += [base for base in dict.fromkeys(inner) if base not in seen]
             seen.update(inner)

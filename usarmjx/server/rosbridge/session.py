@@ -58,6 +58,7 @@ class Defragmenter:
         """
         name, data, number, total = _checked(message)
         one = self._of(name, total)
+        # A fragment that comes twice replaces the first, and must not count double.
         one.length += len(data) - len(one.parts.get(number, ""))
         one.parts[number] = data
         if one.length > MAX_LENGTH:
@@ -70,6 +71,7 @@ class Defragmenter:
 
     def _of(self, name: str, total: int) -> UnfinishedMessage:
         one = self._unfinished.get(name)
+        # The same id with another count is a new message: clients reuse ids after a reconnect.
         if one is None or one.total != total:
             self._unfinished.pop(name, None)
             while len(self._unfinished) >= MAX_UNFINISHED:
@@ -164,6 +166,7 @@ class TopicSubscription:
         """
         self.last_revision = revision
         self.due = now + min(request.pause for request in self.requests.values())
+        # At least one message: with a queue of 0 rosbridge means the latest, not none.
         room = max(sources, max(request.length for request in self.requests.values()))
         while len(self.waiting) >= min(room, MAX_QUEUE):
             self.waiting.popleft()
@@ -235,6 +238,8 @@ class BridgeSession:
 
     def take(self) -> BridgeFrame | None:
         """Return the next frame to send: answers first, then topics in turn; None without one."""
+        # Fragments of one message are finished first: clients reassemble by id, but many expect no others
+        # between.
         if (frame := next(self._frames, None)) is not None:
             return frame
         if self._replies:
@@ -293,6 +298,7 @@ class BridgeSession:
             version = RosVersion.ROS2 if "/msg/" in asked else self._version
             one = self.subscriptions[topic] = TopicSubscription(short, version)
         name = str(message.get("id", ""))
+        # Taken out first, so that a repeated id moves to the end, where the latest encoding is.
         one.requests.pop(name, None)
         one.requests[name] = request
         if len(one.requests) > MAX_SUBSCRIPTIONS:
@@ -323,6 +329,7 @@ class BridgeSession:
         whole = self._fragments.add(message)
         if whole is None:
             return None
+        # Otherwise nested fragments could call this function to any depth.
         if _read(whole).get("op") == "fragment":
             raise UsageError("fragments of fragments are too much")
         return self.receive(whole)

@@ -175,8 +175,10 @@ def ahrs(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np
     """
     force, rates, _, angles = np.asarray(value, float).reshape(4, 3)
     roll, pitch, yaw = map(float, angles)
+    # An accelerometer at rest shows gravity upwards; the AHRS of the manual leaves it out.
     up = mat_from_angles(roll, pitch, yaw).T @ np.array([0.0, 0.0, GRAVITY])
     sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    # Euler rates are about three different axes; this matrix turns them into rates about the chassis's own.
     to_body = np.array(
         [
             [1.0, 0.0, -sin_pitch],
@@ -431,12 +433,14 @@ class WorldTopics:
         names: dict[int, str] = {}
         for robot in robots:
             name = motion.frame_name(robot.name)
+            # Two names may become one without their special characters: the slot tells them apart.
             names[robot.slot] = f"{name}_{robot.slot}" if name in names.values() else name
         return names
 
     def _map_news(self) -> int:
         """Return the number of the map: worlds of a batch get other arenas at resets."""
         arena = self._world.arena
+        # By identity: comparing whole arenas in every step would cost more than the map.
         if self._drawn is None or self._drawn[0] is not arena:
             self._drawn, self._maps = (arena, *floor_map(arena)), self._maps + 1
         return self._maps
@@ -456,6 +460,7 @@ class WorldTopics:
             lambda version: {"clock": version.stamp(world.time)},
         )
         yield RosTopic("/tf", "tf2_msgs/TFMessage", self._tick, self._moving_frames)
+        # The number of now: the lambda below must not see a later one, which belongs to topics made anew.
         changes = self._changes
         yield RosTopic(
             "/tf_static", "tf2_msgs/TFMessage", lambda: changes, self._fixed_frames, is_latched=True
@@ -501,6 +506,7 @@ class WorldTopics:
             for below, kind, make in sensor_topics(sensor, self._world.arena.gps):
                 where = f"/{above}/{motion.frame_name(below)}"
                 found.append(self._of_sensor(robot, index, where, kind, make))
+        # All full names first: a sensor that is itself called `scan` keeps the name.
         yield from found
         taken = {topic.name for topic in found}
         for topic in found:
@@ -514,6 +520,7 @@ class WorldTopics:
         return RosTopic(
             f"/{name}/battery_state",
             "sensor_msgs/BatteryState",
+            # The margin keeps 0.9999999 of a period from counting as none.
             lambda: int(world.time / BATTERY_PERIOD + 1e-6),
             lambda version: battery_state(
                 version, world.time, name, robot.spec.battery_life, world.battery(robot)
@@ -546,6 +553,7 @@ class WorldTopics:
         return RosTopic(where, kind, revision, message)
 
     def _tick(self) -> int:
+        # As of the battery: the time is a sum of floats.
         return int(self._world.time / STATE_PERIOD + 1e-6)
 
     def _moving_frames(self, version: RosVersion) -> RosMessage:

@@ -122,6 +122,7 @@ class DataLinkServer:
             for end, pair in zip(ends, streams, strict=True)
             if not isinstance(pair, BaseException)
         ]
+        # A link has two ends or none: the one that answered must not wait for the other.
         if len(sides) < 2:
             for side in sides:
                 side.writer.transport.abort()
@@ -151,12 +152,15 @@ class DataLinkServer:
             ):
                 async with self._throttle:
                     messages = parser.receive_data(data)
+                    # Checked when there is something to carry: bytes of a message that is not complete cross
+                    # no radio.
                     if messages and not reaches(self._radio, *link.endpoints.names):
                         log.info("%s and %s do not reach each other any more", *link.endpoints.names)
                         break
                     if there.writer.is_closing():
                         break
                     there.writer.write(b"".join(messages))
+                # Outside the throttle: waiting for a slow peer must not keep others from their turns.
                 await drain(there.writer)
         except (OSError, PeerError) as error:
             log.info("%s: %s", here.end.name, error)
@@ -191,6 +195,7 @@ class DialectAHandler:
             done = False
             try:
                 done = await self._links.make(link)
+            # Also when the task is cancelled, or the session would answer nothing more.
             finally:
                 link = self._session.answer_open(done)
         return self._session.data_to_send()
@@ -249,6 +254,7 @@ class ProxyServer:
     async def handle(self, handler: "DialectBHandler", session: DialectBSession, data: bytes) -> bytes:
         """Take bytes of a control connection and return the answers; nothing if it is over."""
         async with self._throttle:
+            # The poll may have removed it while this waited for its turn.
             if handler not in self._handlers:
                 return b""
             answers = session.receive_data(data)
@@ -262,6 +268,7 @@ class ProxyServer:
 
     async def apply_changes(self, changes: Changes) -> None:
         """Open and close ports and connections after changes of the world."""
+        # A list: `leave` removes handlers from the set.
         for handler in [handler for handler in self._handlers if handler.name in changes.gone]:
             log.info("%s is not in the world, or has no battery: it no longer takes part", handler.name)
             handler.closing = True
@@ -278,6 +285,7 @@ class ProxyServer:
         gone, closed = self._board.leave(handler.name)
         for route in (*gone, *closed):
             self._close(route)
+        # Only the caller's own ports are released: to a callee that comes back the port must be the same.
         for route in gone:
             self._ports.pop(route).release()
 
@@ -325,6 +333,7 @@ class ProxyServer:
             writer.close()
             return
         connection, ports = ProxyConnection(writer), list[int]()
+        # Registered before the far end is dialled, so that a lost signal cuts it in between, too.
         self._connections.setdefault(route, set()).add(connection)
 
         def note(port: int) -> None:
@@ -557,9 +566,12 @@ class WirelessService:
     def tick(self) -> None:
         """Refill the time share, and poll the world when a poll is due."""
         self._throttle.refill()
+        # One poll at a time: a slow one must not be overtaken by the next.
         if self._world.time >= self._next_poll and (self._poll_task is None or self._poll_task.done()):
             self._next_poll = self._world.time + POLL_PERIOD
             self._poll_task = asyncio.create_task(self._poll())
+            # An exception of a task that nobody awaits would be reported only when it is collected, if at
+            # all.
             self._poll_task.add_done_callback(_report)
 
     def stop(self) -> None:
@@ -580,6 +592,7 @@ class WirelessService:
         await self._proxies.apply_changes(changes)
         latest = time.monotonic() - self._settings.idle_timeout
         for connection in self._connections:
+            # A robot's controller may be silent for long: only peers without one have to speak.
             if connection.handler.closing or (
                 connection.last_received < latest and not connection.handler.alive
             ):
@@ -628,6 +641,7 @@ class WirelessService:
         strangers = [c for c in self._connections if not c.handler.alive and not c.writer.is_closing()]
         if not strangers:
             return False
+        # The aborted one leaves the list a little later: for a moment there is one more than the limit.
         min(strangers, key=lambda connection: connection.last_received).writer.transport.abort()
         return True
 

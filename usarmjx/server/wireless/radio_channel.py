@@ -86,6 +86,7 @@ class RadioChannel:
 
     def _refresh(self) -> None:
         """Drop the values of an earlier control step."""
+        # The robots are part of it: one that joined within a step has no place in the tables so far.
         moment = self._world.time, tuple(self._world.robots.values())
         if self._moment != moment:
             self._moment = moment

@@ -56,8 +56,10 @@ class Throttle:
     def refill(self) -> None:
         """Credit the time since the last call; call it after a control step."""
         now = time.perf_counter()
+        # Idle time is not saved up beyond zero: `BURST` alone bounds a lead.
         self._owed = max(0.0, self._owed - MAX_TIME_SHARE * (now - self._last))
         self._last = now
+        # Set and cleared at once: wakes those that wait now, and later ones wait for the next step.
         self._stepped.set()
         self._stepped.clear()
 
@@ -67,6 +69,7 @@ class Throttle:
         try:
             while self._owed > BURST:
                 await self._stepped.wait()
+        # A cancelled waiter holds the lock already; kept, nobody would ever have a turn again.
         except BaseException:
             self._lock.release()
             raise
@@ -139,6 +142,7 @@ class ReservedPort:
             UsageError: Another process has the port.
         """
         if self._server is None:
+            # The socket passes to the server, which closes it; `close` binds the port anew.
             bound, self._bound = self._bound or bound_socket(self._host, self.port), None
             try:
                 self._server = await asyncio.start_server(self._handler, sock=bound)
@@ -216,6 +220,7 @@ async def drain(writer: asyncio.StreamWriter) -> None:
             async with asyncio.timeout(STALL):
                 await writer.drain()
         except TimeoutError as error:
+            # Less than before: it reads, only slowly, and has another period.
             if writer.transport.get_write_buffer_size() >= waiting:
                 writer.transport.abort()
                 raise PeerError(f"the peer does not read: {waiting} bytes wait for it") from error
@@ -246,6 +251,7 @@ def has_hung_up(connection: socket.socket) -> bool:
     """
     if not HUNG_UP:
         return False
+    # Not by reading: unread bytes hide the end of the stream, and belong to the handler.
     poll = select.poll()
     poll.register(connection, HUNG_UP)
     return bool(poll.poll(0))
