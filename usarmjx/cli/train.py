@@ -137,6 +137,7 @@ class TrainCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
         """Parse the words after `usarmjx train`, and keep them for the help."""
+        # Before parsing: `--help` ends it, and the task may stand on either side.
         ctx.meta[self.name] = list(args)
         return super().parse_args(ctx, args)
 
@@ -339,9 +340,11 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown, processes: in
     from usarmjx.train.learning.launch import process_info, spawn
 
     if processes > 1 and not _joined():
+        # The same words again: each process finds in the environment which one it is.
         raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
     joined, engine = process_info(os.environ), options.engine
     first = joined is None or joined.index == 0
+    # The engine must be known before JAX is imported, and the record names it.
     recorded = options.resume and engine == "auto"
     announce(
         f"building worlds for {task} ...",
@@ -415,6 +418,7 @@ def _served(run: Path, task: str, port: int, wanted: bool, offset: int = 0) -> G
     if is_own(task):
         command += ["--task", task]
     with ExitStack() as waits, ParentPipe() as pipe:
+        # On the CPU: the training has the GPU, and would lose memory to a second process.
         settings = {**os.environ, "JAX_PLATFORMS": "cpu", **pipe.settings}
         child = subprocess.Popen(command, env=settings, pass_fds=pipe.inherited)
         pipe.started()
@@ -451,10 +455,12 @@ def _train(
 
     def worlds_of(count: int, first: int) -> "Env":
         env = make(task, worlds=count, engine=engine, seed=config.seed, first=first, **plan.overrides)
+        # Before the first step: recordings need the worlds as they begin.
         for watcher in watchers:
             watcher.begin(env, config)
         return env
 
+    # Keeping a rollout's worlds costs memory, so they are kept only for somebody.
     inspected = config.black_box or any(isinstance(one, ClippedTraining) for one in watchers)
     watch = None
     if project is not None:
@@ -591,6 +597,7 @@ class _RecordedTraining:
         from usarmjx.recording.episodes import TrainingRecorder, episode_file
 
         file = self._held.enter_context(episode_file(env, self._path))
+        # Traceable worlds are seen once a rollout, others after each action.
         calls = 1 if env.traceable else config.rollout_length
         self._recorder = TrainingRecorder(env, file, self._every, calls)
 

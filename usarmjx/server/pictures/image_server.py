@@ -133,6 +133,7 @@ class ImageServer:
         self._stepped = asyncio.Event()
         self._render_thread = RenderThread(world)
         self.port = settings.port
+        # The adapter gives each new robot a tile of it, which STA reports as View.
         world.multi_view = settings.multi_view
 
     async def start(self) -> list[str]:
@@ -154,6 +155,7 @@ class ImageServer:
         now = time.monotonic()
         waiting: list[ImageClient] = []
         for client in self._clients:
+            # A client that has not read its last picture gets no further one: pictures would pile up.
             if not client.update_unsent(now):
                 waiting += [client] * client.is_waiting(now)
             elif now - client.since > STALL:
@@ -180,6 +182,7 @@ class ImageServer:
         try:
             make = partial(_frames, parts, self._settings.format)
             frames = await self._render_thread.render([view for view, _ in parts], make)
+        # The error goes on to the log; the clients would otherwise wait for this picture for ever.
         except Exception:
             for client in wanted:
                 client.writer.transport.abort()

@@ -89,6 +89,7 @@ def _draw_balls(
         part = np.s_[first[1] : last[1], first[0] : last[0]]
         if not depth[part].size:
             continue
+        # Middles of pixels: half a pixel off, a small ball would lean to the upper left.
         rows, columns = np.mgrid[part][:, : depth[part].shape[0], : depth[part].shape[1]] + 0.5
         inside = np.hypot(columns - right[ball], rows - down[ball]) <= radius
         rgb[part][inside & (depth[part] > away[ball] - BALL_RADIUS)] = colors[ball]
@@ -108,6 +109,7 @@ def _project_pinhole(
     """Project points in the eye's axes through a pinhole; see `_project`."""
     focal = width / 2 / math.tan(viewpoint.fov / 2)
     away = along[:, 0]
+    # Points behind the eye have a negative depth; they are left out later, and must not divide by 0 here.
     scale = focal / np.maximum(away, NEAR_CLIP)
     return width / 2 - scale * along[:, 1], height / 2 - scale * along[:, 2], away, scale
 
@@ -169,6 +171,7 @@ def client_view(world: ServedWorld, address: str, port: int, size: tuple[int, in
     robots = [robot for robot in world.robots.values() if robot.cameras]
     if not robots:
         return CompositeView(size)
+    # Of robots that came in the same step the lower slot is first, so the picture does not flicker.
     return robot_view(min(robots, key=lambda robot: (robot.spawn_time, robot.slot)), "", size)
 
 
@@ -212,6 +215,7 @@ def snapshot(
     """
     if not requests:
         return list
+    # Before the overlays, in the loop's thread: both are of the same moment.
     render = world.snapshot(requests)
     sketches = [sketch for sketch in (world.traces.sketch(), *world.sketches()) if sketch.shown.any()]
     if not sketches:
@@ -227,6 +231,7 @@ def snapshot(
 
 def _with_overlays(picture: Picture, viewpoint: Viewpoint, sketches: Sequence[OverlayLines]) -> np.ndarray:
     """Return a picture with its overlays, projected for each of its eyes."""
+    # A copy: arrays from JAX are read-only.
     rgb, depth = np.array(picture.rgb), np.asarray(picture.depth)
     wide = rgb.shape[1] // len(viewpoint.eye_offsets)
     for number, offset in enumerate(viewpoint.eye_offsets):

@@ -114,6 +114,7 @@ def check_arguments(message: Message) -> None:
     for key, value in message.segments:
         field = key.lower()
         argument = known.get(field) or known.get(ANY_KEY)
+        # Only the first of a repeated key counts, so a later one may be anything.
         if value and argument is not None and field not in seen and not _MATCHES[argument.kind](value):
             raise PeerError(f"{clip(key)} is {clip(value)}; expected {argument.expects}")
         if field not in repeated:

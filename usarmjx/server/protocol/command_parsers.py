@@ -118,9 +118,11 @@ def _drive(message: Message) -> Command | Ignored:
         for key, (_, value) in _firsts(message).items()
         if value and key in _SPELLINGS
     }
+    # After the keys of a robot's drive: a DRIVE with both is one of the robot, as in KRobot.uc.
     if message.get("Name") and not values:
         return _drive_joint(message)
     command = DriveRobot(tuple(values.items()), *switches)
+    # `Normalized` alone says how to read numbers, and there are none.
     return _NOTHING_TO_DO if command == DriveRobot(normalized=normalized) else command
 
 
@@ -264,6 +266,7 @@ def _fov(text: str) -> float | None:
 
 def _trace(message: Message) -> Command:
     color = message.get("Color")
+    # By name or by number, as the manual's examples have either.
     names = {name.lower(): name for name in TRACE_COLORS} | {
         str(n): name for n, name in enumerate(TRACE_COLORS)
     }
@@ -354,6 +357,7 @@ def _path(message: Message) -> PathOptions:
         PeerError: The speed is not one number.
     """
     points = [_vector(text.strip()) for text in message.get("WP").split(";") if text.strip()]
+    # Absent options are None, not False: WorldController.uc leaves what a line does not name.
     move, loop, align, reset = (
         to_bool(text) if text else None
         for text in map(message.get, ("Move", "Loop", "Autoalign", "ResetOnClear"))

@@ -190,6 +190,7 @@ def _actuator(message: Message, chassis: str) -> Iterator[Segment]:
             yield from tip if names else ()
             names += 1
         if key == "ParentLink":
+            # Links hang on the base, link 0, in UDK; the manual has -1 for the chassis.
             yield (LINK_KEYS[key], str(max(to_int(value), 0)))
         else:
             yield (LINK_KEYS.get(key, key), value)

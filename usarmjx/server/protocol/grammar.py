@@ -103,11 +103,13 @@ class LineBuffer:
         Raises:
             HttpRequestError: One of them is of an HTTP request; none of them counts.
         """
+        # The rest begins a line whose end has not come; it may be empty.
         *complete, rest = _END.split(data)
         lines: list[str] = []
         for piece in complete:
             self._append(piece)
             lines.extend(self.end())
+        # All lines first: none of a request's body may be carried out before its first line is recognised.
         for line in lines:
             refuse_http(line)
         self._append(rest)
@@ -206,6 +208,7 @@ def format_message(message: Message) -> str:
     # One regular expression accepts the usual message; the slow check only names the culprit.
     parts = [f"{{{key} {value}}}" if value else f"{{{key}}}" for key, value in message.segments]
     line = " ".join([message.kind, *parts])
+    # A key with a space would read back as a key and a value, in a line that the expression accepts.
     spaced = " " in "".join([key for key, _ in message.segments])
     if spaced or line.count("{") != len(parts) or not _LINE.fullmatch(line):
         _check_message(message)

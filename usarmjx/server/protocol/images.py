@@ -130,6 +130,7 @@ class ImageSession:
                 self._pending = piece
                 return
             if head == b"O" and piece != b"OK":
+                # Not OK after all: only the O is skipped, as the next byte may begin a request.
                 length = 1
             elif head == b"O":
                 self._ask((0, 0, *self.size))
@@ -161,6 +162,7 @@ class ImageSession:
     def sent(self, now: float) -> None:
         """Record that the picture due at `now` [s] is on its way; the next is due whole periods later."""
         if self._sent:
+            # Whole periods from the first picture on, so that a late one does not lower the rate.
             self._due += self.period * (1 + math.floor((now - self._due) / self.period))
         else:
             self._due = now + self.period

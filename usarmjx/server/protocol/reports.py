@@ -61,6 +61,7 @@ def nfo_start_poses(poses: Sequence[tuple[str, Vector, Vector]]) -> Message:
     ]
     if not words:
         return Message("NFO", (count,))
+    # All poses are one segment, with the first tag as its key: captured lines have them so.
     first, _, rest = " ".join(words).partition(" ")
     return Message("NFO", (count, (first, rest)))
 
@@ -365,6 +366,7 @@ def sen_gps(time: float | None, name: str, position: tuple[float, float] | None,
 
 def _degrees_and_minutes(angle: float) -> str:
     """Return an angle [degrees] without its sign as degrees and minutes, cut and never 60 minutes."""
+    # Cut before the division: 59.99996 minutes rounded afterwards would read 60.
     degrees, minutes = divmod(float(four_decimals(abs(angle) * 60)), 60)
     return f"{degrees:.0f},{minutes:.4f}"
 

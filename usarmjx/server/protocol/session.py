@@ -165,6 +165,7 @@ class RobotSession:
         said = self.dialect.translate(message, self.robot_class)
         translated = [format_message(_in_pairs(one)) for one in said]
         line = "".join(f"{one}\r\n" for one in translated).encode("latin-1", "replace")
+        # Checked before it is added: the bound holds whatever the length of a line.
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
         self._outgoing += line
@@ -197,8 +198,10 @@ class RobotSession:
             command = self._parse(self._waiting.popleft())
             if command is not None:
                 commands.append(command)
+                # Lines behind an INIT wait: whether they are legal depends on its answer.
                 self._awaits_answer = isinstance(command, Init)
         while len(self._waiting) > MAX_WAITING:
+            # The last ones are dropped: those that came first are next to be carried out.
             self._fault(f"too many lines before the INIT is answered: {clip(self._waiting.pop())}")
         return commands
 

@@ -70,6 +70,7 @@ class MultiView:
             size: Width and height of the whole.
         """
         shrink = min(1.0, size[0] / self.size[0], size[1] / self.size[1])
+        # The margin keeps an exact product such as 319.9999999 from losing a pixel.
         width = max(1, math.floor(self.camera_x_res * shrink + 1e-9))
         height = max(1, math.floor(self.camera_y_res * shrink + 1e-9))
         return number % self.columns * width, number // self.columns * height, width, height
@@ -133,6 +134,7 @@ class Viewports:
         Returns:
             The status of the configuration, and of each viewport.
         """
+        # Reversed, so that of cameras with one name the first counts.
         known = {name.lower(): name for name in reversed(cameras)} | {DISABLE: DISABLED, "disabled": DISABLED}
         status = STATUS_OK if not config or config.lower() in CONFIGS else STATUS_FAILED
         self.config = CONFIGS.get(config.lower(), self.config)

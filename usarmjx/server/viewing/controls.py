@@ -77,7 +77,9 @@ class PageRobots:
 
     def drivers(self) -> dict[int, str]:
         """Return the driver of each robot, by slot."""
+        # Later entries win: the page over a client, a client over the policy.
         found = dict.fromkeys(self._world.agents().values(), BY_POLICY)
+        # = dict|Lists first: other threads read this while robots come and go.
         found |= dict.fromkeys(list(self._world.robots), BY_CLIENT)
         return found | dict.fromkeys(list(self._held), BY_PAGE)
 
@@ -104,6 +106,7 @@ class PageRobots:
             client.attach_robot(self._world.spawn(spec, agents[slot], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
             self._server.guests.append(client)
         else:
+            # The client keeps its robot and its reports; only its commands are ignored.
             client.robot, robot.controller = robot, client
         self._held[slot] = HeldRobot(client, own=False)
         log.info("the page has taken over %s", self._name(slot))
@@ -125,6 +128,7 @@ class PageRobots:
         """Set keys of DRIVE; without another call in time all are 0 again."""
         held = self._held_robot(slot)
         self._execute(held, wire.DriveRobot(tuple(values.items())))
+        # A page that freezes or loses its connection sends no more: its robot stops by itself.
         held.stops_at = time.monotonic() + HOLD_TIME if any(values.values()) else math.inf
 
     def set_joint(self, slot: int, joint: str, position: float) -> None:
@@ -202,6 +206,7 @@ class PageRobots:
         """
         session = held.client.session
         held.client.handle(command)
+        # Taken out every time, though mostly unused: nobody else empties this dialogue.
         answer = session.data_to_send().decode("latin-1")
         faults = session.take_faults()
         if faults:
@@ -217,6 +222,7 @@ class PageRobots:
 
     def _forget(self, slot: int) -> None:
         client = self._held.pop(slot).client
+        # Detached first: the dialogue must not remove the robot when it is dropped.
         robot, client.robot = client.robot, None
         if client in self._server.guests:
             self._server.guests.remove(client)
@@ -306,6 +312,7 @@ class ServedControls:
                 if not self._requests:
                     return
                 _, request = self._requests.popitem(last=False)
+            # Outside the lock: carrying it out may add requests.
             self._guarded(request.world, request.act)
             if request.takes_long:
                 return
@@ -458,6 +465,7 @@ class ServedControls:
             robots.release_all()
             served.reset()
 
+        # Queued again: after the wait this must run between two steps, like all requests.
         self._enqueue(world, "reset now", act, takes_long=True)
 
     async def _spawn(self, world: int, robot: str, name: str, pos: Vec3, yaw: float) -> None:

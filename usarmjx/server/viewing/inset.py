@@ -63,6 +63,7 @@ class CameraInset:
         )
         shared = [ALL_ROBOTS] if self._world.multi_view is not None else []
         options = (NOTHING, ITS_VIEW, *names, *shared)
+        # Setting the same options again would close the dropdown under the user's mouse.
         if tuple(self._choice.options) != options:
             now = self._choice.value
             self._choice.options = options
@@ -140,5 +141,6 @@ class CameraInset:
         bodies = BodyPoses(pos=frame.pos[own], mat=turns.astype(np.float32))
         fov = np.asarray(frame.robots[slot].fovs[index], np.float32)
         eye = camera_viewpoint(lens, bodies, np.array(slot, np.int32), fov)
+        # Eyes share the width: it must divide among them.
         width = SIZE[0] - SIZE[0] % len(lens.eye_offsets)
         return CompositeView(SIZE, ((ViewpointRequest(eye, width, SIZE[1]), 0, 0),))

@@ -68,6 +68,7 @@ class ServedSource:
         served = self._worlds[world]
         state, _ = served.one_world()
         owners = np.asarray(victims_of(served.scene, state.arena_state).owner)
+        # Negative owners are false alarms.
         victims = len(np.unique(owners[owners >= 0]))
         if not isinstance(served, PolicyWorld):
             return BoardFacts(owners=owners, victims=victims)
@@ -79,6 +80,7 @@ class ServedSource:
         state, physics = served.one_world()
         names = {slot: robot.name for slot, robot in served.robots.items()}
         episode = 0 if state.arena_state is None else int(state.episode)
+        # Episode and number, too: worlds of a batch share a scene, and change arenas at resets.
         key = served.scene, tuple(names.items()), episode, int(state.number)
         if world not in self._cached or self._cached[world].key != key:
             capture = Capture(served.scene)

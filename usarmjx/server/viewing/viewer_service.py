@@ -97,6 +97,7 @@ class ViewerService:
 
     def tick(self) -> None:
         """Update the page, if there is one."""
+        # Made in the loop's thread: the page reads the worlds.
         if self.page is None and self._server is not None:
             self.page = self._new_page(self._server)
         if self.page is not None:
@@ -106,8 +107,10 @@ class ViewerService:
         """Close all connections."""
         self._stopped = True
         self._unwatch()
+        # Viser starts in that thread; closing the socket under it would leave it half open.
         if self._opener is not None:
             self._opener.join()
+        # One owner closes the socket: the page, viser, or nobody yet.
         if self.page is not None:
             self.page.close()
         elif self._server is not None:

@@ -77,6 +77,7 @@ def gated_viser(bound: socket.socket, host: str, gate: Gate, names: Collection[s
         exceptions=websockets.exceptions,
         datastructures=websockets.datastructures,
     )
+    # The module's name is replaced for a moment, so two starts must not overlap.
     with _start_lock:
         viser_infra.websockets = stand_in  # type: ignore[attr-defined]
         try:
@@ -98,6 +99,7 @@ def _guarded(handler: Any, gate: Gate, made: threading.Event) -> Any:  # noqa: A
     """
 
     async def handle(connection: ServerConnection) -> None:
+        # Polled: the event is of another thread, and the loop must not block on it.
         while not made.is_set():
             await asyncio.sleep(0.01)
         try:
@@ -165,6 +167,7 @@ class MessageRate:
 
     def pause(self, now: float) -> float:
         """Return the delay of the next message [s]."""
+        # The credit may fall below 0: a message in advance makes the next one wait longer.
         self._credit = min(MAX_BURST, self._credit + (now - self._since) * MAX_RATE) - 1.0
         self._since = now
         return max(0.0, -self._credit / MAX_RATE)

@@ -68,6 +68,8 @@ class SharedBatch:
     def advance(self, steps: int) -> None:
         """Advance to a number of control steps since the beginning."""
         while self.steps < steps:
+            # Orders before the step and physics after it, of all served worlds: the step is one for all of
+            # them.
             for world in self.served:
                 world.record_orders()
             self._step()
@@ -92,7 +94,9 @@ def select_world(instance: int, tree: Any) -> Any:  # noqa: ANN401 - a PyTree
     """
     first = next((leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array)), None)
     if first is None or {device.platform for device in first.devices()} == {"cpu"}:
+        # Copies: a view would keep the whole batch of this moment in memory.
         return jax.tree.map(lambda x: np.array(np.asarray(x)[instance]), tree)
+    # On an accelerator only the one world crosses the bus.
     return jax.tree.map(lambda x: np.asarray(x[instance]), tree)
 
 
@@ -125,6 +129,7 @@ class BatchWorld(ServedWorld):
         self._homes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._finder: ObjectFinder | None = None
         self._shared.served.append(self)
+        # The first step makes the readings and contacts that a client expects at once.
         if not self._steps:
             self._advance()
 
@@ -172,6 +177,7 @@ class BatchWorld(ServedWorld):
                 for opcode in effecter.opcodes:
                     self.operate(robot, index, opcode, opcode.default_val or 0.0)
             self.remove(robot)
+        # A batch's state is immutable, so the old one is as good as untouched.
         self._state = before
 
     @property
@@ -181,6 +187,7 @@ class BatchWorld(ServedWorld):
 
     def one_world(self) -> tuple[World, PhysicsState]:
         """Return the world and its physics as they are now, without an axis over worlds; NumPy arrays."""
+        # By identity: every change makes a new state, and an old one is never changed.
         if self._fetched is None or self._fetched[0] is not self._state:
             worlds, physics = self._state.worlds, self._batch.physics(self._state)
             # Typed random keys cannot become NumPy arrays, their data can.
@@ -211,6 +218,7 @@ class BatchWorld(ServedWorld):
     def _activate(self, slot: int, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
         stance = stance_of(robot)
         touching = min(stance.height, kinematic_tree_of(robot).clearance)
+        # A pose inside the floor would let contacts throw the robot out.
         lifted = floor_correction(name, pos[2] - touching, self.arena.floor)
         with numpy_backend():
             own = stances_in(self.scene.vary, self.one_world()[0].varied, robot, [slot])
@@ -236,6 +244,7 @@ class BatchWorld(ServedWorld):
             state = start_sensors(
                 self.scene, world, physics, group, new_group_state(self.scene, group, True, since)
             )
+        # As the state has it, not the class: stances may hold joints from the beginning.
         robot.command = jax.tree.map(lambda x: x[0], state.command)
         fields = {name: getattr(state, name) for name in INITIAL_FIELDS}
         self.edit(robot, **jax.tree.map(lambda x: x[0], fields))
@@ -262,12 +271,14 @@ class BatchWorld(ServedWorld):
                 need is taken; nothing has changed then.
         """
         check_instances([instance], self._batch.worlds)
+        # Two servers on one world would record its steps, and give its robots away, twice.
         if any(world._instance == instance for world in self._shared.served if world is not self):
             raise UsageError(f"world {instance} is served on other ports")
         robots = list(self.robots.values())
         taken = [robot.name for robot in robots if self._is_taken(instance, robot.slot)]
         if taken:
             raise UsageError(f"world {instance} has no room for {', '.join(taken)}")
+        # All states before all removals: removing parks a robot, and its pose is gone.
         states = [self.state(robot) for robot in robots]
         for robot in robots:
             self.remove(robot)
@@ -304,6 +315,7 @@ class BatchWorld(ServedWorld):
         self._shared.advance(self._steps)
         episode = int(self._state.worlds.episode[self._instance])
         before, self._episode = self._episode, episode
+        # The batch resets a world that went bad by itself; its episode's number is all that tells.
         if episode != before:
             self.recovery_log.resets += 1
             log.error("the physics of world %d was not finite: it is reset, robots parked", self._instance)
@@ -317,6 +329,7 @@ class BatchWorld(ServedWorld):
     def prepare_reset(self) -> None:
         """Compile what `reset` needs; may run in a thread."""
         nowhere = jnp.zeros(self._batch.worlds, bool)
+        # A reset of no world compiles the program and leaves the state as it is.
         jax.block_until_ready(self._batch.reset_where(self._state, nowhere).worlds)
 
     def reset(self) -> None:
@@ -389,6 +402,7 @@ class BatchWorld(ServedWorld):
         what = name, opcode.name, np.array(value, np.float32)
         self._state, outcome = self._batch.operate(self._state, group, *what, where)
         command = jax.tree.map(lambda x: np.array(x[at]), self._state.worlds.groups[group].command)
+        # The flip's end stays in the clients' time; the batch's own step count may have begun anew.
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(jax.tree.map(lambda x: x[at], outcome))
 

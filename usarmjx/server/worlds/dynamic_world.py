@@ -103,6 +103,7 @@ class DynamicWorld(ServedWorld):
         """Return robots to their spawn poses and all else to its beginning, with full batteries."""
         if self.recorder is not None:
             self.recorder.reset()
+        # Before the reset, which sets the count of the single world to 0: the clients' time goes on.
         self._began = self.steps
         self._single.reset()
         for slot, robot in self.robots.items():
@@ -115,6 +116,7 @@ class DynamicWorld(ServedWorld):
             self.check_position(pos)
         self.prepare(robot)
         asked = [(pos, quat_from_angles(*angles)) for pos, angles in poses]
+        # Before it is added, so that a replay adds it in front of the step that it takes part in.
         if self.recorder is not None:
             self.recorder.adding(robot, name, asked)
         slot = self._single.add(robot, name, asked)
@@ -144,6 +146,7 @@ class DynamicWorld(ServedWorld):
             if self.recorder is not None:
                 self.recorder.removed(robot.slot, robot.name)
             self._single.remove(robot.slot)
+            # Models of several megabytes are replaced with each robot; the C library keeps what it frees.
             return_freed_memory()
 
     def move_robot(self, robot: Robot, pos: Vec3, quat: np.ndarray) -> None:
@@ -182,10 +185,12 @@ class DynamicWorld(ServedWorld):
 
     def step(self) -> None:
         """Advance by one control step; robots that diverge return to their spawn poses."""
+        # Before the orders are recorded: moves are inputs of the step, too.
         self.advance_objects()
         if self.recorder is not None:
             self.recorder.record_orders(self.scene, [_orders(one) for one in self._single.world.groups])
         put_back = self._single.step()
+        # With all digits: C MuJoCo computes in double precision, and a replay compares bits.
         record_step(self, self._single.engine.data)
         if put_back:
             self.recovery_log.put_back += len(put_back.robots) + len(put_back.others)
@@ -194,6 +199,7 @@ class DynamicWorld(ServedWorld):
             log.error("the physics of %s went bad: put back", ", ".join([*names, *put_back.others]))
             if self.recorder is not None:
                 self.recorder.event("put back", f"{', '.join([*names, *put_back.others])}: put back")
+        # A robot that was put back has lost its command, of which its client knows nothing.
         for slot in put_back.robots:
             self.robots[slot].command = self._single.state_of(slot).command
 

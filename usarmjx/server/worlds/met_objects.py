@@ -66,6 +66,7 @@ def met_objects(engine: CWorld, geoms: np.ndarray, names: ObjectNames) -> list[M
         body = int(model.geom_bodyid[geom])
         if body in robots:
             name = names.robots[robots[body]]
+            # A robot is met by any of its bodies and reported as one: by its chassis.
             body = int(names.bodies[robots[body]].body_ids[0])
         else:
             name = _name_of_body(model.body(body).name)
@@ -74,6 +75,7 @@ def met_objects(engine: CWorld, geoms: np.ndarray, names: ObjectNames) -> list[M
         else:
             name, key = _name_of_piece(model.geom(geom).name, names)
             pose = data.geom_xpos[geom], data.geom_xmat[geom]
+        # Copies: MuJoCo's arrays change with the next step.
         found.setdefault(key, MetObject(name, pose[0].copy(), pose[1].reshape(3, 3).copy()))
     return list(found.values())
 
@@ -101,6 +103,7 @@ class ObjectFinder:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
+        # A copy of the description: compiling changes it.
         self._engine = CWorld(scene.spec.copy(), scene.arena, scene.physics.substeps, scene.moved_geoms)
         self._robots = {slot: index for slot, (_, index) in enumerate(scene.robots)}
 
@@ -128,6 +131,7 @@ class ObjectFinder:
         self._engine.data.qpos[:] = physics.qpos
         moved = moved_geom_poses(scene, world.arena_state, clock_of(scene, world))
         caster = self._engine.caster(self._robots, moved)
+        # Parked robots stand far away, but a beam of infinite length may meet them.
         parked = [
             caster.geoms_of(int(other))
             for one, state in zip(scene.groups, world.groups, strict=True)

@@ -64,9 +64,11 @@ class ObjectMotion:
         segments = self._segments
         lengths = np.linalg.norm(segments, axis=1)
         behind = 0.0
+        # Two equal waypoints make a segment of no length, which has no direction.
         for index in np.flatnonzero(lengths):
             share = (self.progress - behind) / lengths[index]
             behind += lengths[index]
+            # Closeness at the end: a sum of lengths may miss the whole by its last digit.
             if share < 1 or math.isclose(behind, lengths.sum()):
                 return self.points[index] + min(share, 1.0) * segments[index], segments[index]
         return self.points[0], None

@@ -123,6 +123,7 @@ class ClassSensors:
         """Read what is due of the robots of a group; traced, for one world."""
         scene = self._scene_of(group)
         nothing = [suite_memory(len(one.slots)) for one in self._scene.groups]
+        # The other groups read nothing, and their memories must have the shapes of that.
         states = [state.replace(memory=none) for state, none in zip(world.groups, nothing, strict=True)]
         states[group] = states[group].replace(memory=memory)
         after, readings = observe(scene, world.replace(groups=tuple(states), mail=None), physics)
@@ -186,6 +187,7 @@ class ClassSensors:
         """Return the memories of a group, new ones in another episode or world."""
         episode = world, int(now[0].episode)
         kept = self._memories.get(group)
+        # Sensors start anew with an episode: drift and timers of the one before must not go on.
         if kept is None or kept.episode != episode:
             kept = self._memories[group] = _Memories(episode, self.start(group, *now))
         return kept
@@ -313,6 +315,7 @@ class PolicyBatch(SharedBatch):
             policy=self._policy.initial_carry(count),
             length=zero,
             score=np.zeros(count, np.float32),
+            # Below 0 stands for no episode yet: the first advance begins one everywhere.
             episode=zero - 1,
         )
         again = np.ones(count, bool)
@@ -345,8 +348,11 @@ class PolicyBatch(SharedBatch):
 
         Its memory must be of the same shapes as that of the one before, and goes on.
         """
+        # A new program beside the old one, which drives until this one is compiled.
         act = PrecompiledProgram(jax.jit(policy.act))
+        # By the arguments of the last action: their shapes are those of the next one, too.
         act.compile(*self._act_example)
+        # One assignment at the end: the loop's thread may act at any moment.
         self._act, self._policy = act, policy
 
     # The functions up to `_advance` are traced, all but the last for one world.
@@ -530,6 +536,7 @@ class PolicyWorld(BatchWorld):
         group, member = self.scene.group_of(robot.slot)
         memory = fields.get("memory")
         own = len(self.scene.groups[group].suite.sensors)
+        # A memory longer than the scene's sensors is a joined one, from `memory`.
         if memory is not None and len(memory.own) > own:
             fields["memory"], further = split_memory(memory, own)
             self._class_sensors.store(group, member, further, self.one_world(), self._instance)
@@ -610,6 +617,7 @@ class PolicyWorld(BatchWorld):
         """Take over the robot with the same slot in this world, at its present pose."""
         robot.pending.clear()
         self.robots[robot.slot] = robot
+        # The policy's last command is still in force; the robot stands until its client drives.
         self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
         self.policy_batch.claimed[self._instance, robot.slot] = True
 
@@ -711,6 +719,7 @@ class PolicyFollower:
 
     async def _take(self, name: str | None) -> None:
         try:
+            # Reading and compiling take seconds, in which the loop must step on.
             await asyncio.to_thread(self._load)
         except (UsageError, OSError) as error:  # training may have replaced it by a newer one
             log.warning("%s: %s", self._run, error)

@@ -77,6 +77,7 @@ def record_step(
         return
     qpos, qvel, act = (np.asarray(one) for one in (physics.qpos, physics.qvel, physics.act))
     recorder.stepped(world.time if time is None else time, qpos, qvel, act)
+    # The snapshot is made only for frames: it fetches the whole world from the device.
     if recorder.frame_is_due:
         state, seen = world.one_world()
         recorder.record_frame(
@@ -94,6 +95,7 @@ def record_step(
 
 def _links(world: "ServedWorld", radio: RadioSettings | None) -> Links | None:
     """Return the links of robots whose radio is the server's."""
+    # A world with a radio of its own has its links in its state already.
     if radio is None or world.scene.radio is not None or len(world.robots) < 2:
         return None
     return world.links(radio)

@@ -75,6 +75,7 @@ class Traces:
 
     def add_point(self, trace: RobotTrace, position: Vec3, time: float) -> None:
         """Add a point at a robot's position, if it is far enough from its last one."""
+        # Also without a point: a robot that stands is looked at only now and then.
         trace.next = time + MIN_INTERVAL
         if trace.last is not None and np.linalg.norm(np.subtract(position, trace.last)) <= MIN_DISTANCE:
             return
@@ -83,6 +84,7 @@ class Traces:
         if (trace.count - 1) % self.stride == 0:
             self.points.append((position, trace.command.color))
         if len(self.points) > MAX_POINTS:
+            # Every other point of all robots, so old and new parts of a path are equally dense.
             del self.points[1::2]
             self.stride *= 2
 
@@ -144,6 +146,7 @@ class Robot:
         self.command, self.drowned = command, False
         self.pending.clear()
         self.latest.clear()
+        # Cameras return to their defaults with the robot.
         self.__post_init__()
 
     @property

@@ -167,6 +167,7 @@ class ServedWorld(ABC):
             return
         names, poses = [thing.name.lower() for thing in self.scene.arena.loose], self.loose_poses()
         for name, motion in self.motions.items():
+            # By name, each time: indices shift when an object is created or removed.
             index = names.index(name)
             moved = motion.advance(poses[index], self.period)
             if moved is not None:
@@ -232,6 +233,7 @@ class ServedWorld(ABC):
         def is_taken(start: StartPose) -> bool:
             return any(math.dist(start.at[:2], pos) <= apart for pos, apart in occupied)
 
+        # A stable sort: free poses stay in the arena's order.
         return sorted(self.arena.starts, key=is_taken)
 
     @property
@@ -464,6 +466,7 @@ class ServedWorld(ABC):
         world, physics = self.one_world()
         scene = self.scene if self.scene.radio is not None else replace(self.scene, radio=radio)
         with numpy_backend():
+            # Links carry what they were at the last evaluation; a world that never had any begins without.
             before = no_links(scene.num_robots) if world.links is None else world.links
             return update_links(scene, world.replace(links=before), physics)
 
