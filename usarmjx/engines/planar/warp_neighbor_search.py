@@ -383,7 +383,7 @@ WORLD_CODE = """
 
 def threads_for(robots: int) -> int:
     """Return the threads of a block for a world of so many robots: no warp without a robot."""
-    return min(32 * robots, THREADS)
+    return min(32 * max(robots, 1), THREADS)
 
 
 def _code(most: int, room: int, threads: int = THREADS) -> str:
