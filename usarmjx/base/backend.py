@@ -47,6 +47,7 @@ def numpy_backend() -> Generator[None]:
 
     As in JAX, non-finite numbers raise no warnings.
     """
+    # A context variable: other threads, such as a server's, keep their own library.
     token = _on_numpy.set(True)
     try:
         with np.errstate(all="ignore"):
@@ -62,6 +63,7 @@ def on_numpy() -> bool:
 
 def known_all(flags: Any) -> bool:  # noqa: ANN401 - an array of booleans
     """Return whether all flags are set; False on JAX, where a traced value decides no branch."""
+    # `count_nonzero` is faster than `all` on arrays this small.
     return _on_numpy.get() and np.count_nonzero(flags) == flags.size
 
 
@@ -162,6 +164,7 @@ def set_rows(values: Array, *parts: Part) -> Any:  # noqa: ANN401 - an array of 
         source[places] = sum(row.shape[0] for row in rows) + np.arange(places.size).reshape(places.shape)
         new = jnp.broadcast_to(jnp.asarray(new, values.dtype), (*places.shape, *values.shape[1:]))
         rows.append(new.reshape(-1, *values.shape[1:]))
+    # The indices are constants that were made here, so bounds need no check.
     return jnp.concatenate(rows).at[source].get(mode="promise_in_bounds")
 
 
@@ -186,6 +189,7 @@ def jit(function: Callable[Params, T], static_argnames: tuple[str, ...] = ()) ->
 
     @wraps(function)
     def run(*args: Params.args, **kwargs: Params.kwargs) -> T:
+        # Asked at each call: the same function serves both libraries.
         return function(*args, **kwargs) if _on_numpy.get() else compiled(*args, **kwargs)
 
     return run
@@ -208,6 +212,7 @@ def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # n
         count = next(n for n, _ in columns if n is not None)
         results = [function(*(row(i) for _, row in columns)) for i in range(count)]
         if not results:
+            # Without a row the structure of the result is unknown.
             raise ValueError("nothing to map over")
         # A view instead of a copy.
         if count == 1:
@@ -253,6 +258,7 @@ class _Process:
 
 
 def _note_fork() -> None:
+    # A handler of a fork must not import anything: JAX may not be loaded at all.
     bridge = sys.modules.get("jax._src.xla_bridge")
     started = getattr(bridge, "backends_are_initialized", lambda: bridge is not None)
     # A fork of a fork stays unusable.
@@ -279,6 +285,7 @@ def jax_entry_points(cls: Guarded) -> Guarded:
     They compute in single precision whatever `jax_enable_x64` says, and raise a `UsageError` in a process
     that was forked after JAX had started.
     """
+    # A list: the class's dictionary changes while it is gone through.
     for name, method in list(vars(cls).items()):
         if isinstance(method, FunctionType) and (name == "__init__" or not name.startswith("__")):
             setattr(cls, name, _guarded(method))

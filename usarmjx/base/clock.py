@@ -72,7 +72,9 @@ def cycle_share(time: Time, frequency: Array, dims: int, xp: ModuleType) -> Arra
     turns = xp.mod(xp.asarray(frequency, xp.float32) * xp.float32(time.period), 1.0)
     # The largest float32 below 1 is below 2^32 after the scaling, so that the conversion is defined.
     increment = (turns * xp.float32(2.0**32)).astype(xp.uint32)
+    # Overflow is wanted: modulo 2**32 is modulo a whole cycle.
     phase = xp.asarray(time.step)[further].astype(xp.uint32) * increment
+    # 24 bits are exact in single precision, so the share never rounds up to 1.
     return (phase >> np.uint32(8)).astype(xp.float32) * xp.float32(2.0**-24)
 
 
@@ -81,7 +83,9 @@ def intervals_in_steps(intervals: tuple[float, ...], period: float) -> tuple[np.
     """Return intervals [s] as fractions of control steps: numerators and denominators (intervals,)."""
     steps: list[Fraction] = []
     for interval in intervals:
+        # Longer intervals would overflow 32 bits; at 0.02 s this one is 248 days.
         ratio = min(interval / period, LONGEST_INTERVAL)
+        # A quotient of floats such as 0.2 / 0.02 is not exactly 10: the nearest simple fraction is meant.
         step = Fraction(ratio).limit_denominator(FINEST_DENOMINATOR)
         # A numerator beyond 32 bits belongs to an interval of days, of which no fraction of a step matters.
         steps.append(step if step.numerator <= LONGEST_INTERVAL else Fraction(round(ratio)))
@@ -108,6 +112,7 @@ def next_due(
         The next `due` and `lead` (...,).
     """
     whole, parts = intervals
+    # Division of the negative number rounds up.
     missed = step - due >= -((lead - whole) // parts)
     start, lead = xp.where(missed, step, due), xp.where(missed, 0, lead)
     gap = -((lead - whole) // parts)  # up to the first step not before the exact time

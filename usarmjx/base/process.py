@@ -69,10 +69,12 @@ def limit_fragmentation(environment: Mapping[str, str] = os.environ) -> bool:
     Returns:
         Whether the library took it: only glibc does.
     """
+    # mallopt would override what the user has set.
     if any(environment.get(name) for name in MALLOC_VARIABLES):
         return False
     try:
         option = cast(Callable[[int, int], int], ctypes.CDLL(None).mallopt)
+        # A threshold that is set stays: glibc stops raising it.
         return bool(option(M_MMAP_THRESHOLD, MAPPED_SIZE) and option(M_ARENA_MAX, MAX_ARENAS))
     except (AttributeError, OSError, TypeError):
         return False
@@ -83,6 +85,7 @@ def ensure_pool_size() -> None:
     global _raised_from, _started_before_us
     if _requested_pool_size() >= MIN_THREADS or pool_fits_cores():
         return
+    # JAX reads NPROC once, when its backend starts: too late is remembered, and told by engine `jax`.
     _started_before_us, _raised_from = _backend_runs(), (os.environ.get("NPROC"),)
     os.environ["NPROC"] = str(MIN_THREADS)
 
@@ -104,6 +107,7 @@ def fit_pool_to_cores() -> None:
     if _backend_runs() or _raised_from is None:
         return
     os.environ[POOL] = CORES
+    # Children read it, too: they get the value that was there before us.
     os.environ.pop("NPROC")
     if _raised_from[0] is not None:
         os.environ["NPROC"] = _raised_from[0]
@@ -121,6 +125,7 @@ def _requested_pool_size() -> int:
 
 def cores() -> int:
     """Return the number of cores that this process may use, JAX's default pool size."""
+    # Containers and taskset may allow fewer cores than the machine has.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

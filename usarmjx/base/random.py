@@ -100,7 +100,9 @@ def fold_in(of: Any, data: Any) -> Any:  # noqa: ANN401 - keys and whole numbers
     if not on_numpy():
         if of.ndim:
             return jax.vmap(partial(fold_in, data=data))(of)
+        # The same numbers as on NumPy, which is what served worlds and batches have in common.
         return jax.vmap(partial(jax.random.fold_in, of))(data) if many else jax.random.fold_in(of, data)
+    # The usual case, without arrays: a dozen of them would cost more than the hash.
     if not many and of.ndim == 1:
         return np.array(_threefry(int(of[0]), int(of[1]), int(data) & MASK), np.uint32)
     numbers = np.asarray(data)
@@ -150,6 +152,7 @@ def uniform(of: Any, shape: Sequence[int] = (), minval: Any = 0.0, maxval: Any =
 def normal(of: Any, shape: Sequence[int] = ()) -> Any:  # noqa: ANN401 - keys and an array of the library in force
     """Return numbers of a shape from the standard normal distribution; keys as of `uniform`."""
     if on_numpy():
+        # As `jax.random.normal`: -1 itself would be minus infinity.
         low = np.nextafter(np.float32(-1), np.float32(0))
         return SQRT_2 * _erf_inv(uniform(of, shape, low, 1.0))
     if not of.ndim:
@@ -162,6 +165,7 @@ def truncated_normal(of: Any, low: float, high: float, shape: Sequence[int] = ()
     if not on_numpy():
         return jax.random.truncated_normal(of, low, high, tuple(shape))
     drawn = uniform(of, shape, math.erf(low / math.sqrt(2)), math.erf(high / math.sqrt(2)))
+    # The bounds themselves are left out, as in JAX.
     first, last = np.nextafter(np.float32(low), INFINITY), np.nextafter(np.float32(high), -INFINITY)
     return np.minimum(np.maximum(SQRT_2 * _erf_inv(drawn), first), last)
 
@@ -191,6 +195,7 @@ def permutation(of: Any, values: Array) -> Any:  # noqa: ANN401 - a key and an a
 
 def _erf_inv(x: np.ndarray) -> np.ndarray:
     """Return the inverse error function of numbers in (-1, 1), single precision."""
+    # `log1p` keeps the digits of small x.
     w = -np.log1p(-x * x)
     value = _polynomial(ERFINV_CENTRAL, w - np.float32(2.5))
     if (w >= 5).any():
@@ -270,6 +275,7 @@ def _threefry(k0: int, k1: int, number: int, ones: int = 1) -> tuple[int, int]:
 def _threefry_of_arrays(k0: np.ndarray, k1: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """As `_threefry`, of arrays (...)."""
     keys = (k0, k1, k0 ^ k1 ^ np.uint32(THREEFRY_PARITY))
+    # A copy: the rounds below work in place.
     x0, x1 = np.array(k0), number + k1
     high = np.empty_like(x1)
     for group in range(5):
@@ -321,6 +327,7 @@ class RandomStream:
     def shuffled(self, items: Sequence[T]) -> list[T]:
         """Return the items in a random order."""
         mixed = list(items)
+        # Fisher and Yates, written out: NumPy's own order of draws may change with its version.
         for i in range(len(mixed) - 1, 0, -1):
             j = self.randint(i + 1)
             mixed[i], mixed[j] = mixed[j], mixed[i]

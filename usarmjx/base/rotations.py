@@ -46,6 +46,7 @@ def quat_from_mat(mat: Array) -> Array:
     rows = xp.stack(products, -1).reshape(*mat.shape[:-2], 4, 4)
     squares = xp.stack(products[::5], -1)
     row = xp.take_along_axis(rows, xp.argmax(squares, -1)[..., None, None], -2)[..., 0, :]
+    # The length is twice the largest component, whatever the row.
     return row / xp.sqrt((row * row).sum(-1, keepdims=True))
 
 
@@ -87,12 +88,14 @@ def rotation_vector(mat: Array) -> Array:
     skew = xp.stack([mat[..., i, j] - mat[..., j, i] for i, j in pairs], -1) / 2
     sine = xp.linalg.norm(skew, axis=-1)
     angle = xp.arctan2(sine, (xp.trace(mat, axis1=-2, axis2=-1) - 1) / 2)
+    # For small angles angle / sine is 1.
     return skew * xp.where(sine > MIN_NORM, angle / xp.maximum(sine, MIN_NORM), 1.0)[..., None]
 
 
 def mat_from_rotation_vector(vector: Array) -> Array:
     """Return the rotation matrix (..., 3, 3) of a rotation vector [rad] (..., 3): Rodrigues' formula."""
     angle = xp.linalg.norm(vector, axis=-1, keepdims=True)
+    # The zero vector has no axis: with a sine of 0 any will do.
     unit = vector / xp.maximum(angle, MIN_NORM)
     x, y, z = (unit[..., i] for i in range(3))
     zero, angle = xp.zeros_like(x), angle[..., None]

@@ -36,8 +36,11 @@ class _Pause:
 
     def __enter__(self) -> None:
         with self._lock:
+            # Counted: callbacks of several threads overlap, and only the first and the last switch.
             if not self._running:
                 self._was_enabled = gc.isenabled()
+                # A collection could unload compiled programs, which is illegal while XLA captures a CUDA
+                # graph.
                 gc.disable()
             self._running += 1
 
@@ -64,6 +67,7 @@ def without_collection(callback: Callable[..., Any]) -> Callable[..., Any]:
 
 def with_globals(function: Callable[..., None], **changed: object) -> Callable[..., Any]:
     """Return a copy of a function in which some globals of its module are replaced."""
+    # A copy of the globals: the original module and everybody else's calls stay as they are.
     seen = {**function.__globals__, **changed}
     copied = FunctionType(function.__code__, seen, function.__name__, function.__defaults__)
     copied.__annotations__, copied.__module__ = function.__annotations__, function.__module__
@@ -133,8 +137,10 @@ class WarpFunction:
         static = tuple(value for value, known in zip(args, self._inputs, strict=True) if not known.is_array)
         launch = Launch(self._maker, self._given, self._kernel.name, static, launch_dims)
         with _LOCK:  # Warp increments launch_id after the call
+            # 31 bits may collide: a wrong launch would run silently.
             if _LAUNCHES.setdefault(launch.number, launch) != launch:
                 raise RuntimeError(f"{launch} and {_LAUNCHES[launch.number]} have the same number")
+            # Ids from the content instead of a counter: a cached program finds its launch in another process.
             self._kernel.launch_id = launch.number
             return self._kernel(*args, output_dims=output_dims, launch_dims=launch_dims)
 
@@ -165,6 +171,7 @@ class WarpFunction:
             self._kernel.launch_descriptors[launch.number] = SimpleNamespace(
                 static_inputs=static, launch_dims=(launch.dims,)
             )
+        # Now and not at the first launch, which may be within the capture of a CUDA graph.
         wp.load_module(self._kernel.kernel.module, block_dim=self._kernel.block_dim)
 
 
@@ -219,6 +226,7 @@ def warp_in_use() -> bool:
     """
     if jax.default_backend() != "gpu":
         return False
+    # Looked for, not imported: the import takes seconds.
     if find_spec("warp") is None:
         log.warning(
             "Warp is not installed: plain JAX casts rays on this GPU, which is slow; %s installs it",

@@ -144,7 +144,6 @@ def count_crossings(
     inside = wp.vec2(-1.0, 1.0)
     met = wp.bool(False)
     index = wp.int32(0)
-    # A `while`: Warp would unroll a `for` over a constant range.
     while index < count:
         at = first + geom_row(index)
         pos = load_vec4(geoms, at)

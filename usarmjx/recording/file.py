@@ -74,6 +74,7 @@ class FileChunkIndex:
         Raises:
             OSError: The file cannot be read.
         """
+        # The file is read through another descriptor, which does not see the buffer.
         self._stream.flush()
         with open(self._stream.name, "rb") as file:
             yield from _entries(file, os.fstat(file.fileno()).st_size)
@@ -92,6 +93,7 @@ def _entries(file: IO[bytes], end: int) -> Iterator[ChunkIndex]:
     while at < end:
         opcode, length = cast(tuple[int, int], RECORD.unpack(file.read(RECORD.size)))
         following = at + RECORD.size + length
+        # Message indices follow their chunk: the entry is complete at the first other record.
         if opcode == Opcode.MESSAGE_INDEX and entry is not None:
             entry.message_index_offsets[CHANNEL.unpack(file.read(CHANNEL.size))[0]] = at
             entry.message_index_length += RECORD.size + length
@@ -196,6 +198,7 @@ class RecordingFile:
         with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             try:
+                # "x" fails if the file exists: a check beforehand would race with another process.
                 self._stream = self.path.open("xb")
             except FileExistsError as error:
                 raise UsageError(f"{path}: is there already; record to another file") from error
@@ -233,6 +236,7 @@ class RecordingFile:
             job: The operation.
             is_frame: Leave it out if it has to wait for too long.
         """
+        # Never an error: a world must not stop because its recording has.
         if self.ended:
             return
         self._jobs.append(_Waiting(time.monotonic(), job, is_frame))
@@ -261,6 +265,7 @@ class RecordingFile:
 
         For jobs only; all pieces are run before the file ends.
         """
+        # A newer scene replaces the rest of an older one, which nobody needs any more.
         self._pieces[channel] = pieces
 
     def write(self, channel: ChannelName, at: float, value: Any) -> None:  # noqa: ANN401 - as the channel has
@@ -271,6 +276,7 @@ class RecordingFile:
             at: Simulated time [s].
             value: The message: a value of `pack` or JSON, by the channel's schema; bytes are JSON already.
         """
+        # The writer counts channels from 1: no number is 0.
         number = self._channels.get(channel) or self._register(channel)
         if isinstance(value, bytes):
             data = value
@@ -296,6 +302,7 @@ class RecordingFile:
 
     def _run(self) -> None:
         try:
+            # Polled: waking the thread for each of thousands of jobs would cost the world's thread more.
             while not self._stop.wait(WAKE):
                 self._drain()
             self._drain()
@@ -322,6 +329,7 @@ class RecordingFile:
                     self.left_out += 1
                 else:
                     job(self)
+                # Progress is counted for `_wait`, which tells a slow disk from one that is gone.
                 self._written += 1
             elif self._stop.is_set():
                 break
@@ -343,6 +351,7 @@ class RecordingFile:
         try:
             next(pieces)
         except StopIteration:
+            # The piece itself may have queued a newer operation for its channel.
             if self._pieces.get(channel) is pieces:
                 del self._pieces[channel]
 

@@ -145,6 +145,7 @@ UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 def stamp(time: float) -> dict[str, int]:
     """Return a time [s] in Foxglove's form."""
     nano = round(time * NANO)
+    # Rounded once, as a whole: separate rounding could give 10**9 nanoseconds.
     return {"sec": nano // NANO, "nsec": nano % NANO}
 
 
@@ -172,9 +173,11 @@ class Transforms:
             self._drawing = drawing
             self._names = [frame_id(drawing, body) for body in range(len(drawing.bodies))]
         sent = frame.shown
+        # Whoever begins to watch in the middle needs bodies at rest, too.
         if is_new or frame.time >= self._all_due:
             self._all_due = frame.time + ALL_PERIOD
         else:
+            # Exactly: bodies at rest have the same bits in every frame.
             sent = sent & ((frame.pos != self._pos).any(-1) | (frame.quat != self._quat).any(-1))
         self._pos, self._quat, now = frame.pos, frame.quat, stamp(frame.time)
         pos, quat = frame.pos.astype(float).round(DIGITS), frame.quat.astype(float).round(DIGITS + 1)
@@ -224,12 +227,14 @@ class SceneTexts:
         for body in bodies:
             about = json.dumps(_entity(drawing, body, now))
             solids = self._solids(drawing.shapes[drawing.bodies[body].shape])
+            # Two texts of JSON objects are joined at their braces: encoding megabytes again would take long.
             entities.append(f"{about[:-1]}, {solids[1:]}")
             yield
         deletions = json.dumps([{"timestamp": now, "type": DELETE_ALL, "id": ""}])
         write(f'{{"deletions": {deletions}, "entities": [{", ".join(entities)}]}}'.encode())
 
     def _digest(self, shape: DrawnShape) -> bytes:
+        # The shape is kept with its digest, or another one could get its id.
         known = self._digests.get(id(shape))
         if known is None:
             found = hashlib.blake2b(digest_size=16)
@@ -317,6 +322,7 @@ def laser_scan(
     mount = robot.sensors[sensor]
     settings = mount.settings[0]
     first, apart = -float(settings["scan_fov"]) / 2, float(settings["resolution"])
+    # JSON has no infinity.
     ranges = np.minimum(np.asarray(value, float).reshape(-1), float(settings["max_range"]))
     mat = mount.mat[0] if settings.get("yaw", True) else mount.mat[0] @ UPRIGHT
     return {

@@ -159,6 +159,7 @@ class Recording:
     def _scan(self) -> None:
         """Read a file from its beginning, as far as it is intact."""
         self._stream.seek(0)
+        # A summary may have been half read before it failed.
         self._parts, self._channels = [], {}
         offset, records = 8, self._records_from_here(is_start=True)
         while True:
@@ -182,6 +183,7 @@ class Recording:
                 if not self._skip_record(offset):
                     return
                 self._skipped += 1
+                # An iterator that has raised is exhausted: reading goes on with a new one.
                 records = self._records_from_here(is_start=False)
 
     def _records_from_here(self, *, is_start: bool) -> Iterator[Any]:
@@ -196,6 +198,7 @@ class Recording:
         if len(head) < 9 or head[0] != Opcode.CHUNK:
             return False
         end = offset + 9 + int.from_bytes(head[1:], "little")
+        # A length beyond the end is itself damaged, or the file is cut here.
         if end > self.path.stat().st_size:
             return False
         self._stream.seek(end)
@@ -250,6 +253,7 @@ class Recording:
         first = 0 if since is None else round(since * NANO)
         wanted = self._wanted(kinds, world)
         for part in self._parts:
+            # Chunks without a wanted channel are not even decompressed.
             if part.end >= first and not wanted.isdisjoint(part.channels):
                 for message in self._records(part):
                     if message.log_time >= first and message.channel_id in wanted:
@@ -258,6 +262,7 @@ class Recording:
     def last(self, kind: str, world: int, time: float) -> RecordedMessage | None:
         """Return the last message of a kind up to a time [s]; None without one."""
         wanted, latest = self._wanted([kind], world), round(time * NANO)
+        # Chunks are written in order of time, so the last one that begins in time is found by bisection.
         end = bisect_right(self._parts, latest, key=lambda part: part.start)
         for part in reversed(self._parts[:end]):
             if not wanted.isdisjoint(part.channels):

@@ -72,6 +72,7 @@ class WorldMessages:
         try:
             file.write(self._channel("setup"), at, setup)
         except UsageError as error:
+            # A recording that cannot be replayed can still be watched: the reason is kept with it.
             file.write(self._channel("setup"), at, replace(setup, arenas=(), roster=(), why_not=str(error)))
 
     def input(self, given: Input, at: float, file: RecordingFile) -> None:
@@ -116,11 +117,13 @@ class WorldMessages:
         world, scene = snapshot.world, snapshot.scene
         episode = 0 if world.arena_state is None else int(world.episode)
         key = scene, tuple((snapshot.names or {}).items()), int(world.number), episode
+        # A capture belongs to a scene; a drawing also to names and, between arenas, to the episode.
         if self._capture is None or self._key is None or self._key[0] is not scene:
             self._capture = Capture(scene)
         if self._drawing is None or self._key != key:
             self._key = key
             self._drawing = self._capture.drawing(world, snapshot.physics, snapshot.names)
+            # From here on slots mean the robots of the new drawing again.
             self._undrawn.clear()
             file.write(self._channel("drawings"), at, self._drawing)
             self._write_scene(self._drawing, at, file)
@@ -150,6 +153,7 @@ class WorldMessages:
         file.write(self._channel("frames"), at, frame)
         file.write(self._channel("tf"), at, self._transforms.message(drawing, frame))
         names = {slot: drawing.robots[slot].name for slot in frame.robots}
+        # Trails of robots that have left end, so that a new robot of that name begins its own.
         self._trails.keep(names.values())
         for slot, robot in frame.robots.items():
             name = names[slot]
@@ -334,6 +338,7 @@ class WorldRecorder:
 
     def record_frame(self, snapshot: WorldSnapshot) -> None:
         """Record a frame of the world."""
+        # From the present frame on: after a pause frames do not come in a burst.
         self._next_frame = self._time + FRAME_PERIOD
         job = partial(self._messages.record_frame, snapshot, self.since + self._time)
         self.file.put(job, is_frame=True)

@@ -139,7 +139,7 @@ class Imu(Sensor):
         half_turned = matmul(memory.mat, mat_from_rotation_vector(turned / 2))
         half_way = xp.where(again[..., None], half_turned, mat)
         force = matvec(half_way.mT, change + REST_FORCE)
-        # One draw for bias and noise: two calls would double the program's longest part.
+        # One draw for bias and noise: each call of the generator is a hundred operations to XLA.
         drawn = random.normal(key, (*memory.step.shape, 12))
         # A random walk grows with the root of time, so that it does not depend on the scan interval.
         bias = memory.bias + self._by_kind("bias_walk") * xp.sqrt(elapsed) * drawn[..., :6]

@@ -192,7 +192,7 @@ class PointCloudSettings(SensorSettings):
     @property
     def rows(self) -> int:
         """Number of rows of a sweep."""
-        # Without an interval every request measures: then the whole sweep would never end.
+        # Without an interval a row has no duration: the sweep is a single row.
         return max(1, round(self.spin_rate / self.scan_interval)) if self.scan_interval else 1
 
 

@@ -102,6 +102,7 @@ def random_commands(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.
             step = end
     if isinstance(drive, SkidSteer):
         bends = commands[..., :1] != commands[..., 1:2]
+        # Straight drives keep the full speed: only bends would make the wheels slide.
         commands = np.where(bends, commands * min(1.0, MAX_TURN_RATE / _max_turn_rate(robot)), commands)
     return commands.astype(np.float32)
 
@@ -138,6 +139,7 @@ def _random_command(drive: Any, limits: np.ndarray, rng: np.random.Generator) ->
 def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> DriveLog:
     """Return the motion that follows commands (steps, robots, keys) on an open floor."""
     scene = build_scene(OPEN_FLOOR, [robot])
+    # Each robot has a world of its own: they must not touch.
     batch, group = Batch(scene, worlds=commands.shape[1], engine=engine), scene.groups[0]
     drive, names = robot.drive, group.plan.parts[1:]
     kinematics = wheel_kinematics(robot)
@@ -151,6 +153,7 @@ def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> D
         if not number or (commands[number] != commands[number - 1]).any():
             values = {key: commands[number, :, None, i] for i, key in enumerate(drive.keys)}
             state = batch.drive(state, 0, values)
+        # Before the step, as the engine itself has them when it computes the wheels' twist.
         joints.append(np.asarray(batch.physics(state).qpos)[:, group.qposadr[0]])
         state = batch.step(state)
         physics = batch.physics(state)
@@ -164,6 +167,7 @@ def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> D
     targets = np.asarray(drive.targets(commands))
     lower = [name.lower() for name in names]
     row = {lower.index(one.joint.lower()): i for i, one in enumerate(drive.joint_controls)}
+    # Passive wheels have no command: zeros keep their columns.
     speeds = [
         targets[..., row[j]] if j in row else np.zeros(targets.shape[:2]) for j in kinematics.spin.tolist()
     ]
@@ -204,6 +208,7 @@ def fit_response(
     """
     best, residual_rms, cost = _fit(robot, log, turn_gains, sides_apart=False)
     if isinstance(robot.drive, SkidSteer):
+        # The richer model must be clearly better: noise alone always makes it a little better.
         other = _fit(robot, log, turn_gains, sides_apart=True)
         if other[2] < MAX_COST_RATIO * cost:
             best, residual_rms, _ = other
@@ -229,6 +234,7 @@ def _fit(
 
     residual = jax.jit(residuals)
     jacobian = jax.jit(partial(_jacobian, residuals))
+    # In the order of `NUMERIC_FIELDS`.
     first = np.array([1.0, 0.7, 0.05, 0.05, 3.0, 6.0, 8.0, 0.0])
     low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
     if turn_gains is not None:
@@ -242,6 +248,7 @@ def _fit(
     def jacobian_at(values: np.ndarray) -> np.ndarray:
         return np.asarray(jacobian(jnp.asarray(values, jnp.float32)), float)
 
+    # A robust loss: a robot that hops or tips over for a moment must not decide on the figures.
     solution: Any = least_squares(
         residuals_at,
         first,
@@ -267,6 +274,7 @@ def _twists(values: Array, commanded: Array, period: float, sides_apart: bool) -
         twist = limited_lag(response, twist, command, period)
         return twist, twist
 
+    # From rest, as the log begins after the robots have settled.
     lagged = jax.lax.scan(step, jnp.zeros_like(commanded[0]), commanded)[1]
     ahead, turn = response.gain * lagged[..., 0], response.turn_gain * lagged[..., 2]
     aside = response.gain * lagged[..., 1] + response.drift * ahead * turn

@@ -48,6 +48,7 @@ def arena_state_at(arenas: ArenaState | None, number: Array, episode: Array) -> 
     """Return the arena of a world's episode: worlds go through the arenas (arenas, ...) in turn."""
     if arenas is None:
         return None
+    # By world number and episode, without a draw: every arena is used equally often.
     turn = arena_index_of(number, episode, len(arenas.starts))
     return jax.tree.map(lambda rows: xp.asarray(rows)[turn], arenas)
 
@@ -144,6 +145,7 @@ def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
 
     Kernels of Warp have what is fixed apart: once for all worlds.
     """
+    # Fixed blocks come first: their indices are the same in all worlds.
     fixed, others = ([row for row in rows if row.fixed == of_them] for of_them in (True, False))
     if not (fixed and others and warp_in_use()):
         return _geoms_of(rows)
@@ -167,6 +169,7 @@ def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     names = ("pos", "mat", "size", "owner", "rgb", "label", "instance")
     pos, mat, size, owner, rgb, label, instance = _concatenated(rows, *names)
     geom_index = np.concatenate([row.geom_index for row in rows])
+    # Cameras hide single geoms of their robot, so owners name a geom and not only a slot.
     owner = xp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
     geoms = make_geoms(kind, pos, mat, size, owner, material, compact)
     # `make_geoms` sorts by kind, material and compactness: colors have to follow.
@@ -225,6 +228,7 @@ def visible_arena(
     if here is not None:
         look = scene.moved_geom_table
         size = look.size if here.size is None else here.size
+        # Poses of moved geoms are in the axes of the body `arena`, which stands on the floor.
         lift = xp.array([0.0, 0.0, scene.arena.floor])
         moved = _visible(look, here.pos + lift, mat_from_quat(here.quat), size)
         # Boxes of the arena come first, those of victims after them, as in `moved_geom_poses`.
@@ -278,6 +282,7 @@ def _victim_geoms(scene: Scene, arena_state: ArenaState | None, time: Time) -> V
 def _victim_instances(table: VictimTable) -> Array:
     """Return the victim of each box, as instances (boxes,); a false alarm is one box."""
     owner = xp.asarray(table.owner)
+    # False alarms have no victim's number: they are counted as they come.
     alarm = xp.cumsum(owner < 0) - 1
     index = xp.where(owner >= 0, owner, alarm)
     return instances(bone_labels(owner, xp), index).astype(xp.int32)

@@ -46,6 +46,7 @@ def init_world(
         key=key,
         number=number,
         arena_state=None,
+        # `reset` counts up: the first episode is 0.
         episode=zero - 1,
         step=zero,
         groups=(),
@@ -70,6 +71,7 @@ def reset(
     episode = world.episode + 1
     world = world.replace(
         episode=episode,
+        # The arena comes first: start poses and victims are read from it below.
         arena_state=arena_state_at(arenas, world.number, episode),
         step=xp.zeros((), xp.int32),
         groups=(),
@@ -113,6 +115,7 @@ def _with_idle_robots(scene: Scene, world: World, physics: PhysicsState) -> Worl
     for group in scene.groups:
         active = xp.array([not scene.roster[int(slot)].parked for slot in group.slots])
         groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots), xp.int32)))
+    # All groups are in the world before any sensor starts: sensors may look at other robots.
     world = world.replace(groups=tuple(groups))
     groups = [
         start_sensors(scene, world, physics, group, state)
@@ -167,6 +170,7 @@ def start_sensors(
 def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
     """Return qpos: active robots rest at start poses in the arena's or random order, the others wait."""
     starts = start_poses(scene, world.arena_state)
+    # All start poses are shuffled, not only as many as there are robots: each may be drawn.
     order = xp.arange(len(starts))
     if shuffle:
         order = random.permutation(episode_key(world, Stream.START_POSES), order)
@@ -188,7 +192,9 @@ def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
                 rows.append((group.qposadr[stands], own.joints))
             none = xp.zeros_like(x)
             heading = xp.cos(yaw / 2), none, none, xp.sin(yaw / 2)
+            # Heading times tilt: the tilt is in the robot's own axes.
             turned = quat_times(heading, parts(tilt))
+            # MuJoCo's order: position, then the quaternion with w first.
             root = xp.stack([x, y, height, *turned], -1)
             rows.append((group.root_qposadr[stands], xp.asarray(root, xp.float32)))
         if not stands.all():
@@ -205,6 +211,7 @@ def _initial_history(scene: Scene, command: RobotCommand) -> CommandHistory | No
         return None
 
     def repeated(value: Array) -> Array:
+        # As long as the longest latency, so that shapes are the same in all worlds.
         return xp.repeat(xp.asarray(value)[:, None], latency[1], 1)
 
     return CommandHistory(

@@ -138,6 +138,7 @@ def prefix_of(slot: int) -> str:
 
 def robot_groups(model: mujoco.MjModel, robots: Mapping[int, RobotSpec]) -> tuple[RobotGroup, ...]:
     """Return the robots of a model, by slot, as groups by class."""
+    # By description: robots of one class are in one group, wherever they are in the roster.
     slots: dict[RobotSpec, list[int]] = {}
     for slot, robot in robots.items():
         slots.setdefault(robot, []).append(slot)
@@ -395,6 +396,7 @@ class Scene:
         which = np.zeros(self.num_robots, bool)
         owner, wheel = np.full(self.model.nbody, -1), np.zeros(self.model.nbody, bool)
         for group in self.groups:
+            # The chassis is the first body of a robot and no part of its list.
             rolls = np.array([False, *(part.is_wheel for part in parts_of(group.robot))])
             for slot, index in zip(group.slots, group.indices, strict=True):
                 chassis[slot], which[slot] = index.body_ids[0], is_randomized(self.vary, group.robot)
@@ -434,6 +436,7 @@ class Scene:
     @cached_property
     def parked_qpos(self) -> np.ndarray:
         """Qpos with all robots parked, their joints as they stand, and the arena as described (nq,)."""
+        # A copy: `qpos0` belongs to the model, which others read.
         qpos = self.model.qpos0.astype(np.float32)
         for group in self.groups:
             qpos[group.qposadr] = stance_of(group.robot).joints
@@ -449,6 +452,7 @@ class Scene:
     ) -> "Scene":
         """Return a scene with the same arena and other robots, which are behind the arena in the model."""
         other = replace(self, model=model, roster=roster, groups=groups)
+        # Tables of the arena take long to make, and robots come and go in a served world.
         known = {name: value for name, value in vars(self).items() if name in ARENA_TABLES}
         if model is not self.model:
             known.pop("loose_geoms", None)  # objects that were added later are behind robots
@@ -532,6 +536,7 @@ def unique_entries(roster: str | Sequence[str | RobotSpec | RosterEntry]) -> tup
     slots: dict[str, int] = {}
     for slot, entry in enumerate(entries):
         name = entry.name or f"{entry.spec.name}{slot}"
+        # Default names count as well: an explicit name must not be that of another slot.
         if (first := slots.setdefault(name.lower(), slot)) != slot:
             raise SpecError(f"robots {first} and {slot} are both named {name}, expected names of their own")
     return entries
@@ -571,6 +576,7 @@ def build_scene(
     entries = unique_entries(roster)
     if mail is not None and radio is None:
         raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")
+    # Made now, so that a solid that cannot be counted is an error here and not in a step.
     if radio is not None:
         arena_solids(arena)
     active = sum(not entry.parked for entry in entries)
@@ -580,10 +586,13 @@ def build_scene(
     robots = [entry.spec for entry in entries]
     if vary is not None:
         check_randomization(vary, robots, radio is not None)
+    # In slot order, on which the addresses of `index_robot` and the rows of `Inputs` rely.
     for slot, robot in enumerate(robots):
         add_robot(spec, robot, prefix_of(slot), parking_position(arena, slot))
+    # After the robots: the buffers are sized by what can touch.
     cap_contacts(spec, physics, arena, robots)
     model = spec.compile()
+    # Robots are in the model by now: their geoms are checked, too.
     check_ray_kinds(model.geom_type.tolist(), [model.geom(i).name for i in range(model.ngeom)])
     return Scene(
         arena=arena,

@@ -234,11 +234,13 @@ class SingleWorld:
         """Put the one robot of a group where there is room for it, with the tilt and joints of its stance."""
         model, data, stance = self.engine.model, self.engine.data, stance_of(group.robot)
         (index,), floor = group.indices, self.scene.arena.floor - stance.sinking
+        # Before the search: where a robot has room depends on its joints.
         data.qpos[list(index.qposadr)] = stance.joints
         for (pos, quat), reach in (*((pose, 0.0) for pose in poses), (poses[0], SEARCH_RADIUS)):
             found = free_pose(model, data, index, np.array(pos), stance.tilted(quat), floor, reach)
             if found is not None:
                 self.engine.place(index, *found)
+                # Recovery puts it here again, and not to the pose that was asked for.
                 self._homes[int(group.slots[0])] = self.engine.home(index)
                 return
         raise PlaceError(f"no room for a {group.robot.name} within {SEARCH_RADIUS:g} m of {{}}", poses[0][0])
@@ -285,6 +287,7 @@ class SingleWorld:
 
         self.engine.edit(lambda spec: add_loose(spec, thing, arena.floor, held=held), remove, arena)
         body = self.engine.model.body(f"{LOOSE_PREFIX}{thing.name}").id
+        # Tried in the model itself: only there is the object's exact shape.
         is_free = deepest_contact(self.engine.model, self.engine.data, body) <= MAX_PENETRATION
         if not is_free:
             self.engine.edit(remove, remove, before)
@@ -359,6 +362,7 @@ class SingleWorld:
         self.scene = self.scene.with_robots(self.engine.model, seats, groups)
         states = [_stacked([rows[int(s)] for s in group.slots]) for group in groups]
         self.world = self.world.replace(groups=tuple(states))
+        # Scenes of subsets point at the old model.
         self._subscenes = {}
         self._indices = {int(s): i for g in groups for s, i in zip(g.slots, g.indices, strict=True)}
         max_heights = {slot: top for slot, top in self._speeds.max_heights.items() if slot in self._homes}
@@ -377,11 +381,13 @@ class SingleWorld:
         moved, path = self._moved()
         self.world, inputs = compute_inputs(self.scene, self.world, self.physics, moved)
         self.engine.apply(inputs, path)
+        # Before the step: it bounds what a robot may gain within the step.
         limits = self._speeds.update(self.engine.data.qpos)
         lost, recovery = self.engine.advance(self._indices, limits, self._homes)
         # The engine has checked already that all is finite and no robot too fast, as `finish_step` does.
         faults, step = self.world.faults, np.array(self.world.step, np.int32)
         step += 1
+        # The 32-bit count wraps around after 2**31 - 1 steps, 497 days at 0.02 s.
         self._wraps += int(step < self.world.step)
         if lost or recovery:
             overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(recovery)))
@@ -393,6 +399,7 @@ class SingleWorld:
             self._suction.open(lost_by)
         for slot in recovery.robots:
             self.edit(slot, command=idle_command(self.roster[slot].spec))
+        # After the recovery: a robot that was put elsewhere has let go already.
         self._suction.lose()
         return recovery
 
@@ -422,6 +429,7 @@ class SingleWorld:
     def _subscene(self, slots: frozenset[int]) -> SubScene:
         """Return a scene with some of the robots, and of each of its groups the index and the members."""
         if slots not in self._subscenes:
+            # All at once: in a served world the same few sets come back and are made again soon.
             if len(self._subscenes) >= KEPT_SUBSCENES:
                 self._subscenes.clear()
             self._subscenes[slots] = self._build_subscene(slots)
@@ -458,6 +466,7 @@ class SingleWorld:
         """Return the poses of the arena's moving geoms: the present ones, and those of some steps."""
         first, ahead = self._moved_ahead
         offset = int(self.world.step) - first
+        # Also after a reset, when the step is before the first one of the table.
         if not 0 <= offset < LOOKAHEAD_STEPS:
             steps = self.world.step + np.arange(LOOKAHEAD_STEPS, dtype=np.int32)
             ahead = moved_geom_poses(self.scene, None, clock_of(self.scene, self.world.replace(step=steps)))
@@ -511,6 +520,7 @@ class SingleWorld:
         """
         group, _ = self.scene.group_of(slot)
         own, caster = self.scene.groups[group].suite.sensors[sensor], self._caster()
+        # The caster is made anew with every model and has forgotten what was met.
         if (slot, own.mounts[0].name) not in caster.met:
             caster(*own.rays(self.sensor_input(slot).bodies), query_of(own, np.int32(slot)))
         return caster.met[slot, own.mounts[0].name]

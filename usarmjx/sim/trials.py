@@ -154,6 +154,7 @@ class Trial:
         self, path: Sequence[Position2D], seconds: float, arrival_distance: float = ARRIVAL_DISTANCE
     ) -> DriveRun:
         """Drive along points for a time at most [s]; the driver backs off once where it is stuck."""
+        # By the world's time: the limit is of simulated seconds, whatever the machine's speed.
         began, reached, retried = self.world.time, 0, False
         closest, progress_time = math.inf, began
         while reached < len(path):
@@ -166,6 +167,7 @@ class Trial:
             if distance < arrival_distance:
                 reached, closest, progress_time, retried = reached + 1, math.inf, now, False
                 continue
+            # A margin, or a robot that rocks in place would seem to get nearer for ever.
             if distance < closest - MIN_PROGRESS:
                 closest, progress_time = distance, now
             if now - began >= seconds:
@@ -173,6 +175,7 @@ class Trial:
             if now - progress_time > STUCK_TIMEOUT:
                 if retried:
                     return DriveRun(reached, now - began, f"stuck at {_format_position(pos)}")
+                # Once per waypoint: `retried` is cleared when one is reached.
                 retried, progress_time = True, now
                 self.command(-1.0, 0.0)
                 self.advance(BACK_OFF_TIME)
@@ -187,6 +190,7 @@ class Trial:
         forward = mat[:2, 0]
         error = math.atan2(forward[0] * offset[1] - forward[1] * offset[0], float(forward @ offset))
         turn = max(-1.0, min(1.0, STEERING_GAIN * error))
+        # Far off its heading it turns on the spot: driving ahead would lead away from the path.
         ahead = max(0.0, 1.0 - abs(turn) / 2) if abs(error) < math.pi / 3 else 0.0
         self.command(ahead, turn, math.asin(max(-1.0, min(1.0, float(mat[2, 0])))))
 
@@ -278,6 +282,7 @@ def run_lane(
         if remaining <= 0:
             break
         faults.append(run.fault)
+        # Half a round trip before a fault does not count.
         traverses -= traverses % legs
         end = 0 if lane.round_trip else end
         trial.reset_to(starts[end])
@@ -350,6 +355,7 @@ def obstacle_lanes(kind: str, height: float, count: int) -> Iterator[MobilityLan
     """
     make = OBSTACLES.get(kind)
     for number in range(count):
+        # A stream of its own for each lane: lane k is the same whatever the number of tries.
         draw = RandomStream(number, f"{kind} to cross")
         shapes = [
             shape
@@ -380,6 +386,7 @@ def measure_success(robot: RobotSpec, kind: str, drives: int) -> list[tuple[floa
         lanes = obstacle_lanes(kind, level * footprint_of(robot).step, drives)
         crossed = sum(_crosses_perturbed(lane, robot, number) for number, lane in enumerate(lanes))
         curve.append((level, crossed / drives))
+        # Higher obstacles can only be harder, and a hopeless drive takes the whole time limit.
         if curve[-1][1] <= MIN_SUCCESS:
             break
     return curve
@@ -435,6 +442,7 @@ def _crosses_perturbed(lane: MobilityLane, robot: RobotSpec, number: int) -> boo
     """Return whether a robot crosses a lane; a seed draws its start pose, speed and friction."""
     rng = np.random.default_rng(number)
     trial = Trial(lane.arena, robot, rng.uniform(MIN_SPEED_SHARE, 1.0))
+    # In the compiled model: sliding friction alone, of robot and ground alike.
     trial.world.engine.model.geom_friction[:, 0] *= rng.uniform(MIN_FRICTION_SHARE, 1.0)
     start = lane.arena.starts[0]
     x, y, z = start.at
@@ -545,6 +553,7 @@ def plan_segments(arena: ArenaSpec, robot: RobotSpec) -> list[RouteSegment]:
         lengths, predecessors = finder.shortest_paths(node)
         name = min(remaining, key=lambda one: lengths[remaining[one][0]])
         target, start = remaining.pop(name)
+        # The plan has no way there: that is a fault of the arena's check, not of the drive.
         if not math.isfinite(lengths[target]):
             continue
         home = start or home
@@ -563,6 +572,7 @@ class _PathFinder:
 
     def __init__(self, arena: ArenaSpec, robot: RobotSpec) -> None:
         size = footprint_of(robot)
+        # Fine squares take far longer, and are needed only where coarse ones close every gap.
         for cell in (DEFAULT_CELL_SIZE, FINE_CELL_SIZE):
             self.map: ReachMap = reach_map(arena, size.radius, size.step, height=size.height, cell=cell)
             if self.map.start_area >= 0:
@@ -584,6 +594,7 @@ class _PathFinder:
         )
 
         cell = self.map.grid.cell
+        # Padded by a border where robots do not fit: the map's edge is as unwelcome as a wall.
         clearances = [
             np.asarray(distance_transform_edt(np.pad(layer, 1)))[1:-1, 1:-1] for layer in self._free
         ]
@@ -621,6 +632,7 @@ class _PathFinder:
         if not len(self._points):
             return -1
         ground = self.map.ground[self._free]
+        # Squares on other floors are pushed away rather than dropped, so that `argmin` has a choice.
         distances = np.hypot(*(self._points - (x, y)).T) + np.where(
             np.abs(ground - z) < VICTIM_REACH, 0.0, 10.0 * VICTIM_REACH
         )
@@ -642,5 +654,6 @@ class _PathFinder:
         while squares[-1] != here:
             squares.append(int(predecessors[squares[-1]]))
         every = max(1, round(WAYPOINT_SPACING / self.map.grid.cell))
+        # The goal itself is always the last point; the start is left out, for the robot stands there.
         chosen = [*squares[::-1][every::every], there]
         return tuple((float(x), float(y)) for x, y in self._points[chosen])

@@ -63,6 +63,7 @@ def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
         low, high = np.array(water.low), np.array(water.high)
         inside = (pos[..., :2] >= low[:2]).all(-1) & (pos[..., :2] <= high[:2]).all(-1)
         here = inside & (pos[..., 2] >= low[2] + arena.floor)
+        # Where bodies of water overlap, the later one counts.
         depth = xp.where(here, high[2] + arena.floor - pos[..., 2], depth)
     return depth
 
@@ -238,6 +239,7 @@ def sense_self(
     """
     states = robot_states(group, physics)
     bodies = forward_kinematics(group.plan, states)
+    # Sensors without rays need an input of the same structure.
     blind = jax.tree.map(lambda x: xp.zeros((len(group.slots), *x.shape)), NO_HITS)
     clock = clock_of(scene, world)
     around = surroundings(scene, world.arena_state, world.tags, clock) if around is None else around
@@ -305,6 +307,7 @@ def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: Ra
 def battery_left(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
     """Return the battery time left of a group's robots, 0 if drowned [s] (n,)."""
     age = clock_of(scene, world).since(state.battery_start)
+    # `since` wraps around with the count: an age is exact for up to 2**31 steps.
     return xp.where(state.drowned, 0.0, xp.maximum(group.robot.battery_life - age, 0.0))
 
 
@@ -346,6 +349,7 @@ def compute_inputs(
         awake = powered(scene, world, group, state)
         factors = {name: _group_values(world, group, name) for name in ("torque", "speed")}
         own = {"hold": state.hold, "stiffness": state.stiffness, **factors}
+        # Fields of a `vmap` over robots need their axis, even where they are all alike.
         step = xp.broadcast_to(clock.step, awake.shape)
         now = DriveConditions(step=step, powered=awake, depth=depth, solved=solved, **own)
         command, state = _delayed_command(world, group, state)
@@ -363,6 +367,7 @@ def compute_inputs(
             pinned += [(places, parked) for places in (group.root_qposadr, group.qposadr)]
             pinned_dof += [(places, parked) for places in (group.root_dofadr, group.dofadr)]
         refused = refused + driven.refused.sum().astype(xp.int32)
+        # The next step's servos go on from whether joints were held in this one.
         groups.append(state.replace(hold=driven.hold))
     inputs = Inputs(
         ctrl=set_rows(xp.zeros(scene.model.nu), *ctrl),
@@ -416,6 +421,7 @@ def finish_step(scene: Scene, world: World, physics: PhysicsState, overflow: Arr
     faults = world.faults.replace(
         not_finite=world.faults.not_finite + ~finite,
         overflow=world.faults.overflow + (overflow != 0),
+        # NaN compares false, and an infinite speed is counted as not finite already.
         runaway=world.faults.runaway + (fast & finite),
     )
     return world.replace(step=world.step + 1, faults=faults), finite
@@ -446,6 +452,7 @@ def observe(
     for group, state, sensor_input in zip(scene.groups, world.groups, sensor_inputs, strict=True):
         with named_scope(group.robot.name):
             keys = robot_keys(scene, group, key)
+            # NumPy reads all robots of a class in one call; factors of their own need one robot at a time.
             if on_numpy() and sensor_input.noise_factor is None:
                 memory, values = group.suite.read(sensor_input, state.memory, keys)
             else:
@@ -453,5 +460,6 @@ def observe(
         groups.append(state.replace(memory=memory))
         readings.append(values)
     if world.mail is not None:
+        # Here and not in the step: batches without observations pay nothing for mail.
         world = world.replace(mail=receive(world.mail, clock_of(scene, world)))
     return world.replace(groups=tuple(groups)), tuple(readings)

@@ -392,7 +392,6 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         mass=model.body_subtreemass[chassis],
         centre=model.body_ipos[chassis],
         inertia=inertia,
-        # `inv` refuses a stack of no matrices of unknown size.
         inverse_inertia=np.linalg.inv(inertia) if len(chassis) else inertia,
     )
 

@@ -176,7 +176,7 @@ def deepest_overlap(robots: Outlines, neighbors: ContactCandidates, same_height:
         *walls,
         *(jnp.where(row > 0, row * share, row) for row, share in zip(others, neighbors.share, strict=True)),
     ]
-    # A chain of comparisons instead of `argmax`: it keeps the first of equals on JAX and Warp alike.
+    # A chain of comparisons: the first of equals wins, on JAX and Warp alike.
     push, which = rows[0], jnp.zeros(rows[0].shape, jnp.int32)
     for row, other in enumerate(rows[1:], 1):
         which, push = jnp.where(other > push, row, which), jnp.maximum(push, other)

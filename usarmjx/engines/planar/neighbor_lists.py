@@ -112,7 +112,6 @@ class NeighborList(struct.PyTreeNode, kw_only=True):
 
     def displacement(self, at: Array) -> tuple[Margin, Margin]:
         """Return the displacements since the build, with those of lowest points and of height limits."""
-        # Separate square roots and no `norm` of a slice: fused, nothing is stored in between.
         x, y, low, limit = (at[..., i] - self.at[..., i] for i in range(4))
         aside = jnp.sqrt(x * x + y * y)
         return Margin(aside=aside, height=jnp.abs(low)), Margin(aside=aside, height=jnp.abs(limit))

@@ -290,7 +290,7 @@ def _launch_search(solids: SceneSolids, known: NeighborList, proposed: ProposedM
     (worlds, robots), room = proposed.moves.shape, solid_capacity(solids.count)
     threads = threads_for(robots)
     assert room is not None, "_fits_on_warp"
-    # Passed in by JAX: a kernel that allocates memory itself cannot be part of a CUDA graph.
+    # Scratch memory is an argument: kernels of Warp cannot allocate any.
     scratch = jnp.zeros(max(worlds * scratch_numbers(room), 1))
     kept = known.at, known.room, known.omitted, known.packed_obstacles, known.packed_ground
     kept = *kept, known.scene.loose, known.scene.geoms
@@ -301,6 +301,7 @@ def _launch_search(solids: SceneSolids, known: NeighborList, proposed: ProposedM
         output_dims=1,
         launch_dims=worlds * threads,
     )
+    # Empty arrays went in as one number (`_flat`), which is not taken back.
     at, margins, omitted, near, under, loose, geoms = (
         new.reshape(old.shape) if old.size else old for new, old in zip(found[:-1], kept, strict=True)
     )

@@ -51,6 +51,7 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         places = group.qpos[:, wheels.spin]
         spin = before.qvel[group.qvel[:, wheels.spin]]
         grip, size = _variation(inputs, group.members)
+        # Both twists are of rims: what the chassis makes of them is in the gains below.
         now = limited_lag(
             answer, wheels.twist(joints, spin), wheels.twist(joints, ctrl[group.ctrl]), dt, grip
         )

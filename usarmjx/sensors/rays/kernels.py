@@ -57,7 +57,7 @@ def ray_box(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
         # Parallel to a face the reciprocal is huge instead of infinite: 0 times infinity would be NaN.
         share = 1.0 / xp.where(xp.abs(direction[axis]) < TINY, TINY, direction[axis])
         middle, half = origin[axis] * share, size[axis] * xp.abs(share)
-        # One multiplication instead of a division for each face: this is the kernel most rays run.
+        # One division per axis instead of one per face.
         near, far = xp.maximum(near, -middle - half), xp.minimum(far, half - middle)
     return xp.where(near <= far, _nearest(near, far), xp.inf)
 
