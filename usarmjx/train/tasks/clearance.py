@@ -65,6 +65,7 @@ def box_distance(one: Boxes, others: Boxes) -> jax.Array:
     # Of two rectangles apart, one nearest point is a corner, of the one or of the other.
     theirs, ours = _corners(middle, turn, halves), _corners(back, (turn[0], -turn[1]), half)
     near = jnp.minimum(_nearest_corner(theirs, half), _nearest_corner(ours, halves))
+    # Separating axes: two rectangles are apart exactly if one of their four sides' directions separates them.
     apart = reduce(
         jnp.logical_or,
         [
@@ -165,6 +166,7 @@ def obstacle_boxes(view: TaskView) -> Boxes:
         pos, size, quat = state.pos, state.size, state.quat
     mat = mat_from_quat(quat)
     upright = mat[:, 2, 2] >= UPRIGHT_COSINE
+    # A negative height makes the box meet nobody, without a shape that depends on how many are tilted.
     height = jnp.where(upright, size[:, 2], -1.0)
     return Boxes(
         centre=pos[:, :2],
@@ -186,6 +188,7 @@ def robot_boxes(view: TaskView, group: int) -> Boxes:
         centre=robots.pos[:, :2] + _einsum("nij,j->ni", _turn(yaw), middle),
         half=jnp.broadcast_to(jnp.array((high - low)[:2] / 2, jnp.float32), (len(yaw), 2)),
         yaw=yaw,
+        # Infinite bounds the wrong way round: a parked robot meets nothing.
         low=jnp.where(used, robots.pos[:, 2] + low[2], jnp.inf),
         high=jnp.where(used, robots.pos[:, 2] + high[2], -jnp.inf),
     )
@@ -198,6 +201,7 @@ def clearance(view: TaskView) -> tuple[jax.Array, ...]:
     # Another robot stands on the ground as this one does: all of it is in the way.
     robots = _joined(*groups)
     around, count, n = _joined(walls, robots), len(walls.yaw), len(robots.yaw)  # the walls come first
+    # Robots drive over boards, not over each other.
     drivable = np.repeat(np.array([DRIVABLE_HEIGHT, 0.0], np.float32), [count, n])
     least = jax.vmap(partial(_least, around, drivable))(robots, count + jnp.arange(n))
     bounds = np.cumsum([len(group.yaw) for group in groups])[:-1]

@@ -93,8 +93,10 @@ def nearest_mates(belief: Belief, base: int, time: Array, count: int) -> Mates:
     robots = len(belief.pose)
     away = jnp.linalg.norm(belief.mate_headers[..., :2] - belief.pose[:, None, :2], axis=-1)
     away = jnp.where(heard_of(belief, base, time), away, jnp.inf)
+    # Filled up, so that a small team has as many places as the largest observation.
     away = jnp.concatenate([away, jnp.full((robots, count), jnp.inf)], -1)
     gap, slot = jax.lax.top_k(-away, count)
+    # Slots of the fill are beyond the team: cut to an existing one, and marked invalid.
     return Mates(jnp.minimum(slot, robots - 1), jnp.isfinite(gap))
 
 
@@ -149,11 +151,13 @@ def goal_features(grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, ju
         return jnp.where(which[:, None], away, NOWHERE)
 
     theirs = gaps(belief.mate_headers[..., :2], known)
+    # Only those of lower slots count, or two robots would give way to each other.
     lower = np.arange(robots) < np.arange(robots)[:, None]
     taken = gaps(belief.mate_headers[..., 3:5], known & lower).min(-1)
     square = grid.index(goals.position)
     been = belief.visited[np.arange(robots)[:, None], square[..., 0], square[..., 1]]
     from_base = jnp.linalg.norm(goals.position - belief.pose[base, :2], axis=-1)
+    # Ways without an end are cut: an infinite number would spoil the normalisation.
     to_go = (grid.cell * jnp.minimum(goals.length, LONGEST_SEEN * LENGTH_SCALE) + from_base) / HOME_SPEED
     mates = nearest_mates(belief, base, judged.time, judged.mates)
     for_mates = judged.untold[np.arange(robots)[:, None], mates.slot]
@@ -215,6 +219,7 @@ def chosen_goal(seen: Array, square: float, *, report: bool) -> jax.Array:
     news, seconds = NEWS_SCALE * seen[..., 5], TIME_SCALE * seen[..., 1]
     way = LENGTH_SCALE * goals[..., 0, 2] * square
     late = seconds < way / HOME_SPEED + HOME_MARGIN
+    # A robot on its way home goes on, or it would turn back when its news shrink to little.
     going = goals[..., 0, 9] > 0.5
     home = (news > MUCH_NEWS) | ((late | going) & (news > LITTLE_NEWS))
     return jnp.where(home, 0, best)
@@ -273,6 +278,7 @@ def map_pyramid(
         spacing = side * grid.cell
         means = block_means(layers, side)
         steps = (points_around(pose, WIDTH, spacing) - np.array(grid.low, np.float32)) / grid.cell
+        # Half a square: positions are of middles, and blocks begin at a square's edge.
         block = jnp.floor((steps + 0.5) / side).astype(jnp.int32)
         inside = ((block >= 0) & (block < np.array(means.shape[1:]))).all(-1)
         block = jnp.clip(block, 0, np.array(means.shape[1:]) - 1)

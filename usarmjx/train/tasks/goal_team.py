@@ -323,6 +323,7 @@ class GoalTeam(TeamTask):
         mates = known.mates
         heads = known.headers[np.arange(robots)[:, None], mates.slot]
         home = jnp.broadcast_to(known.pose[base, :2], (robots, 1, 2))
+        # The order is that of the goals: base, others, to stay; frontiers follow.
         places = jnp.concatenate([home, heads[..., :2], *[known.pose[:, None, :2]] * self.holds], 1)
         facts = self.drivable(known), known.pose, self.ends(known), places, _blocked(grid, known)
 
@@ -347,11 +348,13 @@ class GoalTeam(TeamTask):
     def decide(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> TeamMemory:
         """Take the robots' choices when these are due, and find ways there."""
         extra, scene = memory.extra, view.scene
+        # All robots choose in the same steps, so the ways of a batch are computed at once.
         due = memory.step % self.hold == 0
         if self.discrete:
             wanted = jnp.zeros((scene.num_robots, GOALS))
             for group, action in zip(self.agent_groups(scene), actions, strict=True):
                 wanted = wanted.at[scene.groups[group].slots].set(action)
+            # An invalid goal never wins, whatever a policy's noise says.
             choice = jnp.where(extra.goals.valid, wanted, -jnp.inf).argmax(-1)
         else:
             choice = chosen_goal(
@@ -359,6 +362,7 @@ class GoalTeam(TeamTask):
             )
         chosen = jnp.where(due, choice, extra.chosen).astype(jnp.int32)
         goal = _picked(extra.goals.position, chosen)
+        # A branch over the whole batch: ways are the dearest part of a step.
         way = where_due(partial(self.ways, scene), due, extra.way, self.known(view, memory), goal)
         return memory.replace(extra=extra.replace(chosen=chosen, way=way))
 
@@ -384,6 +388,7 @@ class GoalTeam(TeamTask):
         """Return the belief with the next position on each robot's way, and where that leads."""
         belief, extra = memory.belief, memory.extra
         waypoint = jax.vmap(next_on_way)(extra.way, belief.pose[:, :2])
+        # A way to where the robot stands has no direction; its own place is the waypoint.
         if self.holds:
             waypoint = jnp.where((extra.chosen == HOLD)[:, None], belief.pose[:, :2], waypoint)
         goal, length = (_picked(x, extra.chosen) for x in (extra.goals.position, extra.goals.length))
@@ -396,6 +401,7 @@ class GoalTeam(TeamTask):
         left = jnp.broadcast_to(1 - memory.step / self.episode_steps, moved.shape)
         rows = [
             to_robot_frame(belief.pose, belief.waypoint) / WAYPOINT_SCALE,
+            # The three numbers of goal and length, which the controller does not read.
             jnp.zeros((len(moved), 3)),
             jnp.minimum(moved / PROGRESS_SCALE, 1.0)[:, None],
             sector_features(belief),
@@ -462,6 +468,7 @@ class GoalTeam(TeamTask):
         belief, before = memory.belief, memory.extra.sent
         news = belief.squares == self.news_kind
         return jnp.where(
+            # Kept until all of it has come: a part may be lost on the way.
             self.base_is_informed(view, belief)[:, None, None],
             news,
             False if isinstance(before, tuple) else before,
@@ -500,8 +507,10 @@ class GoalTeam(TeamTask):
         steps, scene = self.episode_steps, view.scene
         worth = self.worth((steps - memory.step) / steps)  # this step's number is one more
         memory, credit, begun = self.advance(view, memory)
+        # Before the score: news that came with this step count as reported in it.
         memory = self.noticed(view, memory)
         found = self.progress(view, memory, worth)
+        # After it: goals depend on what was achieved.
         memory = self.offered(view, memory.replace(extra=memory.extra.replace(achieved=found.achieved)))
         contacts = self.price * begun
         memory = memory.replace(score=memory.score + found.points - contacts.sum())
@@ -537,6 +546,7 @@ class GoalTeam(TeamTask):
         ]
         grid = self.arena_grid(scene)
         untold = jnp.maximum(news[:, None] - extra.shared, 0.0)
+        # The base learns by any path, so what was reported counts, not what this robot told it itself.
         untold = untold.at[:, base].set(jnp.maximum(news - extra.reported, 0.0))
         rows = [
             jnp.stack([jnp.asarray(one, jnp.float32) for one in own], -1),
@@ -602,6 +612,7 @@ def _of_agents(
     facts: tuple[jax.Array, ...],
 ) -> Any:  # noqa: ANN401 - a PyTree
     """Return what a function computes of the agents' rows, and zeros for the others (robots, ...)."""
+    # The base is no agent, and computing its goals would be as dear as a robot's.
     found = run(*(one[agents] for one in facts))
     return jax.tree.map(lambda x: jnp.zeros((robots, *x.shape[1:]), x.dtype).at[agents].set(x), found)
 

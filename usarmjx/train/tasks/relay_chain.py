@@ -102,6 +102,7 @@ class RelayChain(TeamTask):
         gap = grid.gaps(belief.pose[base, :2]) / grid.cell
         away = jax.vmap(partial(_outward, gap))(squares)
         home = (view.time - belief.base_contact_time > CONTACT_TIMEOUT) & (self.talk != "none")
+        # Any square near the base is home: the base itself stands in its own square.
         doorstep = jnp.where(gap * grid.cell < planning.HOME_RADIUS, gap, UNREACHABLE)
         wanted = jnp.where(home[:, None, None], doorstep, away)
         return planning.plan_paths(grid, belief, view.time, self.planner_settings(view.scene), wanted)
@@ -158,6 +159,7 @@ class RelayChain(TeamTask):
 def first_chain(view: TaskView, memory: TeamMemory, grid: MapGrid) -> RelayChainState:
     """Return how deep the squares of a building are, before any robot reaches the base."""
     here = grid.index(memory.belief.pose[station_slot(view.scene), :2])
+    # The base's own square may be none that a robot gets to, and the wave starts there.
     inside = memory.reachable.at[here[0], here[1]].set(True)
     begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
     far = distances(begin, inside)

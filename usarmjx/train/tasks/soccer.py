@@ -122,6 +122,7 @@ def find_ball(pose: jax.Array, low: jax.Array, high: jax.Array) -> tuple[jax.Arr
     # Beams that pass the ball's middle meet it first; those beside are on both sides.
     mine = met & (low < nearest + BALL_RADIUS)
     way = jnp.where(mine[:, None], along[:, :2], 0.0).sum(0)
+    # Without a ball the direction is 0, and must not become NaN in the branch not taken.
     way = way / jnp.maximum(jnp.linalg.norm(way), 1e-6)
     return pose[:2] + (jnp.where(met.any(), nearest, 0.0) + BALL_RADIUS) * way, met.any()
 
@@ -165,8 +166,10 @@ def update_from_sensors(belief: SoccerBelief, readings: SoccerReadings, time: Ar
     others = jax.vmap(find_others)(readings.pose, readings.high)
     there = there & readings.fresh
     gap = time - belief.ball_time
+    # The gap may be 0 right after mail of this moment.
     moved = jnp.clip((ball - belief.ball) / jnp.maximum(gap, 1e-3)[:, None], -MAX_BALL_SPEED, MAX_BALL_SPEED)
     moved = (1 - VELOCITY_SMOOTHING) * belief.velocity + VELOCITY_SMOOTHING * moved
+    # After a longer gap the ball may have bounced: no velocity is better than a wrong one.
     moved = jnp.where((gap < MAX_VELOCITY_GAP)[:, None], moved, 0.0)
     return belief.replace(
         pose=readings.pose[:, (0, 1, 5)],
@@ -179,6 +182,7 @@ def update_from_sensors(belief: SoccerBelief, readings: SoccerReadings, time: Ar
 
 def update_from_mail(belief: SoccerBelief, mail: Inboxes) -> SoccerBelief:
     """Return the belief after robots read their mail: whoever saw the ball later is believed."""
+    # Boxes hold the oldest first: the last valid place is the newest message.
     last, rows = jnp.maximum(mail.count - 1, 0), jnp.arange(len(belief.ball_time))
     payload, got = mail.payload[rows, last], mail.count > 0
     newer = got & (payload[:, 7] > belief.ball_time)
@@ -292,6 +296,7 @@ class Soccer(Task):
     def _robots(self) -> tuple[RobotSpec, ...]:
         if self.opponent not in OPPONENTS:
             raise UsageError(f"opponent {self.opponent}, expected one of {', '.join(OPPONENTS)}")
+        # One group for both teams only if one policy drives them: groups share their policy.
         other = BLUE if self.opponent == "self" else YELLOW
         return (soccer_robot(BLUE),) * 2 + (soccer_robot(other),) * 2
 
@@ -345,6 +350,7 @@ class Soccer(Task):
     def update_belief(self, view: TaskView, belief: SoccerBelief) -> SoccerBelief:
         """Return the belief after the robots read their mail and sensors."""
         if view.world.mail is not None:
+            # Mail first: sensors of this moment are newer than any message.
             belief = update_from_mail(belief, view.mail)
         groups = range(len(view.scene.groups))
 
@@ -434,12 +440,15 @@ class Soccer(Task):
         """
         if self.discount is None:
             return after - before
+        # Without the cut at the end the gains would not add up to -w of the start (Ng, Harada and Russell
+        # 1999).
         return self.discount * jnp.where(over, 0.0, after) - before
 
     def evaluate(self, view: TaskView, memory: SoccerMemory) -> StepResult:
         """Goals, and the gain of the potential."""
         ball, _ = self.true_positions(view)
         goal, potential = goal_scored(ball), self.potential(view)
+        # The step count is that before this action.
         over = (goal != 0) | (memory.step + 1 >= self.episode_steps)
         gain = self.gain(memory.potential, potential, over) + self.bonus * goal
         score = memory.score + goal

@@ -75,6 +75,7 @@ def soccer_action(seen: jax.Array) -> jax.Array:
     near = SCANNER_RANGE * seen[18:, None] * SECTOR_LINES
     others = jnp.where(seen[18:, None] < FORGOTTEN, position + near @ turn.T, FAR_OFF)
     away = POSITION_SCALE * seen[8:10]
+    # The ball rolls on while the robot drives: it aims at where they meet.
     soon = jnp.clip(jnp.linalg.norm(away) - TOUCH, LEAD[0], LEAD[1])
     ball = _inside(position + turn @ (away + soon * seen[10:12]), BALL_RADIUS)
     mate = position + turn @ (POSITION_SCALE * seen[13:15])
@@ -83,6 +84,7 @@ def soccer_action(seen: jax.Array) -> jax.Array:
     push = _push(ball, others)
     behind = ball - PUSH_START_DISTANCE * push
     mine, its = jnp.linalg.norm(behind - position), jnp.linalg.norm(behind - mate)
+    # Equal distances go to the robot of number 0, so that one of both always attacks.
     first = known & (~heard | (mine < its) | ((mine == its) & (number < 0.5)))
     attack, pushes = _shot(turn.T @ push, position - ball, push)
     # Who does not know where the ball is goes to the middle or its own goal, and looks around.
@@ -122,6 +124,7 @@ def _push(ball: jax.Array, others: jax.Array) -> jax.Array:
     ways = _ways(jnp.asarray(IN_GOAL) - ball)
     behind = depth_inside(ball - PUSH_START_DISTANCE * ways) > PUSH_ROOM
     free = _is_free(ways, others - ball, BALL_PATH_MARGIN, BALL_PATH_LENGTH)
+    # Room behind the ball counts more than a free way: without it the robot cannot push at all.
     return ways[jnp.argmax(2 * behind + free)]
 
 
@@ -129,6 +132,7 @@ def _inside(position: jax.Array, room: float = BOARDS) -> jax.Array:
     """Return the position nearest to another one (2,) at which there is room between the boards (2,)."""
     limit = np.array([GOAL_LINE - room, SIDE_BOARD - room], np.float32)
     position = jnp.clip(position, -limit, limit)
+    # Corners are cut off at 45 degrees: there the sum of both coordinates is bounded.
     over = jnp.maximum(jnp.abs(position).sum() - (CORNER - np.sqrt(2.0) * room), 0.0)
     return position - jnp.sign(position) * over / 2
 

@@ -98,6 +98,7 @@ def range_lines(robot: RobotSpec, kinds: tuple[str, ...]) -> tuple[np.ndarray, n
         rest = BodyPoses(pos=jnp.asarray(plan.rest_pos), mat=jnp.tile(jnp.eye(3), (len(plan.parts), 1, 1)))
         pos, mat = map(np.asarray, sensor.mount_poses(rest))
     along = sensor.directions() @ mat[0].T if isinstance(sensor, RangeScanner) else mat[:, :, 0]
+    # A scanner has one place for all beams, sonars have one each.
     origin = np.broadcast_to(pos[:, :2] if len(pos) > 1 else pos[:1, :2], (len(along), 2))
     angle = np.arctan2(along[:, 1], along[:, 0])
     each = -(-len(angle) // MAX_READINGS)
@@ -115,6 +116,7 @@ def reduce_to_sectors(seen: jax.Array) -> jax.Array:
     """Return the shortest of each of at most `MAX_READINGS` equal sectors of readings (..., n)."""
     n = seen.shape[-1]
     each = -(-n // MAX_READINGS)
+    # Filled up with infinity, which is never the shortest.
     room = -(-n // each) * each - n
     padded = jnp.concatenate([seen, jnp.full((*seen.shape[:-1], room), jnp.inf)], -1)
     return padded.reshape(*seen.shape[:-1], -1, each).min(-1)
@@ -214,6 +216,7 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
         parts.append((group.slots, free & scan.fresh[:, None, None]))
     new = set_rows(jnp.zeros((scene.num_robots, *grid.shape), bool), *parts)
     new = new & memory.reachable & ~memory.explored
+    # Squares that several scans show at once are shared evenly, so that credits add up to what is new.
     seers = new.sum(0)
     credit = (new / jnp.maximum(seers, 1)).sum((1, 2)) / jnp.maximum(memory.reachable.sum(), 1)
     return memory.explored | new.any(0), credit
@@ -226,6 +229,7 @@ def mate_observations(view: TaskView, belief: Belief) -> jax.Array:
     rows = np.arange(robots)[:, None]
     age = (view.time - belief.heard_time)[rows, others]
     there = jax.vmap(to_robot_frame)(belief.pose, belief.mate_headers[rows, others, :2])
+    # An old position is observed as 0, as if there were none: its age says which is meant.
     there = jnp.where((age < STALE_AGE)[..., None], there / POSITION_SCALE, 0.0)
     linked = jnp.zeros((robots, robots), bool) if view.world.links is None else view.links.in_range
     facts = [there, jnp.minimum(age / STALE_AGE, 1.0)[..., None], linked[rows, others][..., None]]
@@ -267,6 +271,7 @@ def unlinked(view: TaskView) -> jax.Array:
     if view.world.links is None:
         return jnp.ones(())
     links = view.links
+    # Links are counted in both directions, as are pairs, so the share is right.
     return 1 - links.in_range.sum() / jnp.maximum(links.paired.sum(), 1)
 
 
@@ -393,9 +398,11 @@ class TeamTask(Task):
             mail: Whether they can have any; at the start of an episode all boxes are empty.
         """
         grid = self.arena_grid(view.scene)
+        # Poses first: scans are drawn from where the robots believe to be now.
         belief = update_pose(grid, belief, self.poses(view))
         if mail and view.world.mail is not None:
             period = self.repeat * view.scene.physics.period
+            # Mail before scans: what others reported a moment ago keeps their bodies from becoming walls.
             belief = update_from_mail(grid, belief, view.mail, period)
         for g, group in enumerate(view.scene.groups):
             if has_scanner(group):
@@ -424,6 +431,7 @@ class TeamTask(Task):
         for group in scene.groups:
             flyers[group.slots] = flies(group.robot)
         agents[self.agents(scene)] = True
+        # Robots that fly and those that drive hinder nobody of the other kind.
         peers = agents & (flyers[:, None] == flyers) & ~np.eye(scene.num_robots, dtype=bool)
         return PlannerSettings(peers=peers, flyers=flyers, planners=np.flatnonzero(agents))
 
@@ -461,6 +469,7 @@ class TeamTask(Task):
         for each in scene.groups:
             outlines[each.slots] = safety.outline(*safety.box_of(each.robot))
         other = np.arange(scene.num_robots) != slots[:, None]
+        # A robot is no obstacle to itself, whatever its header's age.
         age = jnp.where(other, view.time - belief.heard_time[slots], jnp.inf)
 
         def one(
@@ -566,6 +575,7 @@ class TeamTask(Task):
         """
         explored, credit = newly_explored(view, memory, self.arena_grid(view.scene))
         touching = self.touched(view)
+        # Only the begin of a contact counts: a robot that leans on a wall pays once.
         begun = touching & ~memory.touching & jnp.isin(jnp.arange(len(touching)), self.agents(view.scene))
         if (working := self.working(view, memory)) is not None:
             begun &= working
@@ -581,6 +591,7 @@ class TeamTask(Task):
 
     def metrics(self, memory: TeamMemory) -> dict[str, jax.Array]:
         """Share of the squares that are explored, contacts, and share of the pair-steps without a link."""
+        # Skipped steps have no sums behind them.
         steps = jnp.maximum(memory.step - memory.skipped, 1)
         return {
             "explored": coverage(memory),
@@ -616,6 +627,8 @@ class TeamTask(Task):
         flyers = self.planner_settings(view.scene).flyers[:, None, None]
         flown = jnp.where(belief.evidence < 0, FREE, jnp.where(belief.evidence > 0, WALL, UNKNOWN))
         swept = jnp.where(belief.squares == MARK, MARK, flown)
+        # Robots that fly have seen only what they flew over; maps of others are no help to keep them on
+        # course.
         squares = jnp.where(flyers, swept, belief.squares)
         near = jax.vmap(local_map)(squares, belief.pose)
         near = near.reshape(robots, -1)

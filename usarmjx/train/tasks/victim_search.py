@@ -53,6 +53,7 @@ def seeking_costs(belief: Belief, gap: jax.Array) -> jax.Array:
         belief: Their beliefs.
         gap: Distances of squares from the base, as the crow flies [squares] (i, j).
     """
+    # Above any way home, so that a known way home always wins.
     cost = SEEKING_COST + OUTWARD_COST * gap + VISITED_FRONTIER_COST * belief.visited
     return jnp.where(jax.vmap(frontier)(belief.squares), cost, UNREACHABLE)
 
@@ -110,6 +111,7 @@ def way_left(at: jax.Array, ahead: jax.Array, fence: tuple[jax.Array, jax.Array]
         fence: Lowest and highest x and y [m] (2,).
     """
     edge = jnp.where(ahead > 0, fence[1], fence[0]) - at
+    # A robot that flies along an edge never reaches it; the inner replacement keeps 0/0 from being computed.
     along = jnp.where(ahead == 0, jnp.inf, edge / jnp.where(ahead == 0, 1.0, ahead))
     return jnp.maximum(along.min(-1), 0.0)
 
@@ -268,6 +270,7 @@ class VictimSearch(TeamTask):
             return jnp.zeros((), bool)
         agents = self.agents(view.scene)
         left = (presence.alive & presence.present)[agents].any()
+        # Not before the last arrival: until then an empty building is no end.
         return ~left & (view.world.step // self.repeat > self._arrivals(view.scene).max())
 
     def _share_linked(self, view: TaskView, linked: jax.Array) -> jax.Array:
@@ -322,6 +325,7 @@ class VictimSearch(TeamTask):
         gap = grid.gaps(belief.pose[base, :2])
         doorstep = jnp.where(gap < planning.HOME_RADIUS, gap, UNREACHABLE)
         ends = seeking_costs(belief, gap / grid.cell) if self.seek_home else UNREACHABLE
+        # NaN asks the planner for a frontier of its own choice.
         wanted = jnp.where(home[:, None, None], jnp.minimum(doorstep, ends), jnp.nan)
         return planning.plan_paths(grid, belief, view.time, self.planner_settings(scene), wanted)
 
@@ -342,7 +346,9 @@ class VictimSearch(TeamTask):
         """As `TeamTask`; robots that fly climb to their height by their INS."""
         if not flies(group.robot):
             return super().drive_values(view, memory, group, action)
+        # By identity: two groups may be equal in all they hold.
         index = next(g for g, other in enumerate(view.scene.groups) if other is group)
+        # Different heights, so that robots above each other do not touch.
         height = HEIGHT + FLIGHT_SPACING * np.arange(len(group.slots)) + view.scene.arena.floor
         pose = view.sensor(index, pose_sensor(group.robot))
         error, speed = height - pose[:, 2], FLIGHT_SPEED * action[:, 0]
@@ -444,6 +450,7 @@ class VictimSearch(TeamTask):
         if self.radio is not None:
             linked = jnp.asarray(reachable(jnp.asarray(view.links.in_range), base))
         return VictimSearchState(
+            # A report stays, though the base's map may lose the mark when another message overwrites it.
             reported=before.reported | (right & marked[:, :, None]).any((0, 1)),
             wrong=(marked & ~right.any(-1)).sum().astype(jnp.float32),
             mapped=before.mapped | (memory.reachable & (squares == FREE)),
