@@ -198,6 +198,7 @@ class Capture:
         which = int(world.number), int(world.episode)
         if which not in self._num_fixed:
             labels = {*np.asarray(self._fixed(world).label).tolist()}
+            # One entry only: an earlier episode never comes back.
             self._num_fixed = {which: len(labels & {*FIXED_BODIES}) + bool(self._scene.arena.waters)}
         return self._num_fixed[which]
 
@@ -226,6 +227,7 @@ class Capture:
         pos += [loose[:, :3], np.asarray(doors.pos)]
         mat += [np.asarray(mat_from_quat(loose[:, 3:])), np.asarray(doors.mat)]
         shown = np.ones(sum(len(one) for one in pos), bool)
+        # Loose objects and doors are the last two parts of the poses.
         if state is not None and len(loose):
             first = sum(len(one) for one in pos[:-2])
             shown[first : first + len(loose)] = np.asarray(state.present)
@@ -334,6 +336,7 @@ def _drawn_camera(camera: Camera, body: int) -> DrawnMount:
 def _drawn_headlight(robot: RobotSpec, body: int) -> DrawnMount:
     light = headlight_of(robot)
     ahead = light.direction
+    # The axis farthest from the light's: nearly parallel ones would give no direction across.
     left = np.cross(np.eye(3)[np.argmin(np.abs(ahead))], ahead)
     left /= np.linalg.norm(left)
     return DrawnMount(

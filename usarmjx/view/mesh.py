@@ -80,6 +80,7 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
         }
         for index, block in enumerate(blocks)
     ]
+    # glTF demands the bounds of positions, and of no other attribute.
     accessors[0] |= {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
     primitive = {
         "attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2},
@@ -266,6 +267,7 @@ def _fender(size: np.ndarray) -> _Solid:
     quads: list[tuple[np.ndarray, np.ndarray]] = []
     for axis in range(3):
         across = size[[(axis + 1) % 3, (axis + 2) % 3]]
+        # A face smaller than the grid is one bar, or nothing of it would be seen.
         if (across < GRID_PITCH / 2).any():
             bars = [(-across[0], across[0], -across[1], across[1])]
         else:
@@ -307,6 +309,7 @@ def _quads(quads: list[tuple[np.ndarray, np.ndarray]]) -> _Solid:
 
 def _ellipsoid(size: np.ndarray) -> _Solid:
     vertices, _, faces = _unit_sphere()
+    # The gradient of the ellipsoid's equation: normals stretch the other way round than corners.
     normals = vertices / size
     return vertices * size, normals / np.linalg.norm(normals, axis=1, keepdims=True), faces
 

@@ -233,6 +233,7 @@ SCRIPT = """
 
 def page_text(original: str) -> str:
     """Return viser's page with our head; one that is not as known stays as it is."""
+    # Another version of viser: its own page is better than a half changed one.
     if MARK not in original:
         return original
     style = STYLE.replace("BACKGROUND", BACKGROUND)
@@ -536,10 +537,12 @@ class ViewerPage:
         """Show the present frames at once."""
         # One group of messages, so that browsers never draw half an update.
         with numpy_backend(), self.server.atomic():
+            # Actions first: they may choose another world, which is drawn below.
             while self._posted:
                 self._guarded(self._posted.popleft())
             drawings = self._drawings()
             shown = [cell.drawing for cell in self._stage.cells]
+            # By identity: a source makes a new drawing only when something has changed.
             if len(drawings) != len(shown) or any(a is not b for a, b in zip(drawings, shown, strict=True)):
                 self._begin(drawings)
             self._take_frames()
@@ -628,6 +631,7 @@ class ViewerPage:
         """Return the numbers of the worlds on the stage."""
         if not self.wall:
             return [self.world]
+        # Whole pages of worlds: choosing a neighbour keeps the same ones on the stage.
         first = self.world // MAX_SIDE_BY_SIDE * MAX_SIDE_BY_SIDE
         return list(range(first, min(first + MAX_SIDE_BY_SIDE, self.source.num_worlds)))
 
@@ -665,6 +669,7 @@ class ViewerPage:
             {others[(self._turn + n) % len(others)] for n in range(WORLDS_AT_ONCE)} if others else set[int]()
         )
         self._turn += WORLDS_AT_ONCE
+        # The others in turn: fetching all frames at each update would take time from the worlds' steps.
         for n in {chosen, *now}:
             self._frames[n] = self.source.frame(numbers[n])
         self.frame = self._frames[chosen]

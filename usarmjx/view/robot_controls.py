@@ -145,6 +145,8 @@ class DrivePad:
             self._send(now)
 
     def _send(self, now: float) -> None:
+        # A release may be lost with its message: a direction that nobody confirms any more counts as
+        # released.
         self._held = {name: since for name, since in self._held.items() if now - since < HOLD_TIMEOUT}
         held = self._held.keys()
         self._steer(
@@ -387,6 +389,7 @@ class RobotControls:
     def _remove(self) -> None:
         """Remove the robot from the world; ask first, if it is a client's."""
         remove = partial(self._controls.remove, self._world, self._robot.slot)
+        # The page's own robot goes without a question; a client's removal costs its client the connection.
         if self._known == (BY_PAGE, False):
             remove()
             return
@@ -432,6 +435,7 @@ class RobotControls:
                 f"{name} zoom [deg]", low, high, 0.1, _within(low, high, math.degrees(fov), 1)
             )
 
+            # Bound as defaults: the loop's variables have moved on when the slider is used.
             def zoom(_: object, name: str = name, slider: viser.GuiSliderHandle[float] = slider) -> None:
                 fov = math.radians(slider.value)
                 self._do(lambda: self._controls.zoom(self._world, self._robot.slot, name, fov))
@@ -459,6 +463,7 @@ class RobotControls:
         with gui.add_folder(title):
             for part in parts:
                 low, high = part.limits or (-math.pi, math.pi)
+                # Rounded outward, or the slider's steps would leave the limits out.
                 low, high = math.floor(low * 100) / 100, math.ceil(high * 100) / 100
                 index = self._robot.joints.index(part.name)
                 present = 0.0 if now is None else float(now.joint_pos[index])

@@ -64,6 +64,7 @@ class BodyBatch:
         """
         rows = self._rows[shown[self._rows]]
         pos, quat = pos[rows], quat[rows]
+        # Browsers keep what they have: only changed poses are worth a message.
         if _are_near(pos, self._pos) and _are_near(quat, self._quat):
             return
         self._pos, self._quat = pos, quat
@@ -137,6 +138,7 @@ class Stage:
             if key not in self._batches:
                 self._batches[key] = BodyBatch(self._scene, f"{self._root}/{key}", shapes[key])
             self._batches[key].begin(np.array(own))
+        # Keys of shapes that are not drawn any more would keep their arrays in memory.
         used = {id(shape) for shape in shapes.values()}
         self._keys = {shape: key for shape, key in self._keys.items() if id(shape) in used}
         self._draw_floors()
@@ -169,6 +171,7 @@ class Stage:
     def _key(self, shape: DrawnShape) -> str:
         """Return the common name of all equal shapes."""
         if shape not in self._keys:
+            # By contents: equal robots of several worlds share one mesh in the browser.
             fields = [np.ascontiguousarray(value, np.float32).tobytes() for value in _numbers(shape)]
             data = b"".join([*fields, "\n".join(map(str, shape.material)).encode()])
             self._keys[shape] = hashlib.blake2b(data, digest_size=8).hexdigest()

@@ -170,6 +170,7 @@ class Walls:
         shapes = [drawing.shapes[name] for name in still]
         kept = [(shape.kind == BOX) & (shape.transparency < OCCLUDER_TRANSPARENCY) for shape in shapes]
         pairs = [*zip(shapes, kept, strict=True)]
+        # An empty first part, as a drawing may have no walls.
         self._pos = np.concatenate([np.zeros((0, 3)), *(shape.pos[one] for shape, one in pairs)])
         self._mat = np.concatenate([np.zeros((0, 3, 3)), *(shape.mat[one] for shape, one in pairs)])
         self._size = np.concatenate([np.zeros((0, 3)), *(shape.size[one] for shape, one in pairs)])
@@ -231,6 +232,7 @@ class Chase:
         if self._ahead is not None:
             ahead = self._ahead + self._follow * (ahead - self._ahead)
             length = float(np.linalg.norm(ahead))
+            # Half a turn in one update may pass through no direction at all.
             ahead = ahead / length if length > 1e-3 else _heading_of(robot, frame)
         self._ahead = ahead
         wanted = clear_elevation(self._walls, robot, frame, ahead)
@@ -244,6 +246,7 @@ class Chase:
         if share >= 1.0:
             return pose
         length = float(np.linalg.norm(way))
+        # At least half of the way: closer, the robot alone would fill the picture.
         near = max(share * length - WALL_GAP, share * length / 2)
         return CameraPose(top + near / length * way, pose.look_at, pose.up)
 
@@ -344,6 +347,7 @@ class Viewer:
 
     def frame(self, pose: CameraPose, aspect: float) -> None:
         """Move a free view to a pose that was fitted for an aspect of its picture."""
+        # The same pose again must not push out earlier ones, at which a slow browser may still be.
         if not (self.framed and np.array_equal(self.framed[-1], pose.pos)):
             self.framed = [*self.framed[-MAX_FRAMED + 1 :], pose.pos]
         self.aspect = aspect
@@ -412,6 +416,7 @@ def clear_elevation(walls: Walls, robot: DrawnRobot, frame: Frame, ahead: np.nda
     angles = np.linspace(usual, MAX_ELEVATION, ELEVATIONS)[:, None]
     eyes = pos + distance * (np.sin(angles) * UP - np.cos(angles) * ahead)
     hidden = walls.occluded(pos + 0.5 * float(robot.dimensions[2]) * UP, eyes)
+    # The first free elevation; where none is free argmin gives the first, the usual one.
     return float(angles[int(np.argmin(hidden)), 0])
 
 

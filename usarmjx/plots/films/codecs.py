@@ -64,10 +64,12 @@ def write_mp4(pictures: Iterator[np.ndarray], path: Path, rate: float) -> int:
             count += 1
     except BrokenPipeError:
         pass  # its standard error tells why
+    # Ctrl-C, too: ffmpeg would wait for its input for ever.
     except BaseException:
         process.kill()
         process.communicate()
         raise
+    # It closes the input, by which ffmpeg completes the file.
     _, message = process.communicate()
     if process.returncode:
         raise UsageError(
@@ -80,6 +82,7 @@ def write_gif(pictures: Iterator[np.ndarray], path: Path, rate: float) -> int:
     """Write pictures (height, width, 3) uint8 as a GIF with one palette; return their number."""
     frames = [Image.fromarray(picture) for picture in pictures]
     palette = _palette(frames)
+    # Without dither: noise that changes from picture to picture flickers and packs badly.
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     # A GIF counts hundredths of a second: rounded ends, so that the film lasts as long as it should.
     ends = np.round(np.arange(len(small) + 1) * 100 / rate).astype(int)

@@ -138,6 +138,7 @@ def _check_robot(source: RecordingSource, index: int, name: str, times: np.ndarr
         UsageError: Lists the robots that are.
     """
     known: dict[str, None] = {}
+    # The last moment is added: a short film has no whole second.
     for time in np.unique(np.append(np.arange(times[0], times[-1], 1.0), times[-1])).tolist():
         source.seek(time)
         drawing, frame = source.drawing(index), source.frame(index)
@@ -165,6 +166,7 @@ class Shots:
         """Return the picture of a simulated time [s]: colours, 0 to 255 uint8 (height, width, 3)."""
         self._source.seek(time)
         drawing, frame = self._source.drawing(self._index), self._source.frame(self._index)
+        # Robots have joined or left: all that was prepared for the old drawing is void.
         if drawing is not self._drawing:
             self._drawing, self._scene, self._signs = drawing, FilmScene(drawing), Signs(drawing)
             self._chase = Chase(drawing, HEADING_SHARE)

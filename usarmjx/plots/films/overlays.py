@@ -54,6 +54,7 @@ class Overlay:
         """
         if not len(self.corners):
             return
+        # On a canvas of its own: within an overlay the nearest sign counts, and the opacity once.
         own = Canvas(view.width, view.height)
         view.draw(own, self.corners, np.arange(len(self.corners)))
         triangle, nearness = own.surface()

@@ -128,6 +128,7 @@ class RasterCaster:
 
     def normals(self, hits: RayHits, origin: Array, direction: Array) -> Array:
         """Return unit normals at the hits, interpolated between corners, towards the rays (rays, 3)."""
+        # Rays without a hit have -1, which would read the last triangle; they are masked below.
         which = jnp.maximum(jnp.asarray(hits.geom_index), 0)
         there = hits.geom_index >= 0
         reach = jnp.where(there, hits.distance, 0.0)[:, None]
@@ -319,6 +320,7 @@ class FilmScene:
         held, lens, parts = self._sun.numbers(shadow), _lens(view), [np.zeros((0, 3), np.uint8)]
         for first in range(0, len(pixels), CHUNK):
             part = [column[first : first + CHUNK] for column in columns]
+            # Filled up to one size, so that one program shades all parts.
             missing = CHUNK - len(part[0])
             pixel, *hits = (jnp.asarray(np.pad(column, (0, missing), mode="edge")) for column in part)
             rgb = _shade(self._scene, table, held, lens, pixel, tuple(hits), self._materials)
@@ -327,6 +329,7 @@ class FilmScene:
 
     def _shadow_canvas(self, corners: np.ndarray, shown: np.ndarray, moving: np.ndarray) -> Canvas:
         cast = ~self._clear & ~self._solids.is_floor
+        # Shadows of what stands still are drawn once; each frame adds what moves to a copy.
         if self._shadow is None:
             self._shadow = Canvas(self._sun.side, self._sun.side)
             rows = np.flatnonzero(shown & self._still & cast)
@@ -338,6 +341,7 @@ class FilmScene:
     def _table(self, corners: np.ndarray, normals: np.ndarray) -> Table:
         first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         across = np.cross(first, second)
+        # Triangles without an area would divide by 0.
         square = np.maximum((across * across).sum(-1, keepdims=True), 1e-18)
         dual = np.stack([np.cross(second, across), np.cross(across, first)], 1) / square[:, None]
         return Table(
@@ -377,6 +381,7 @@ class _Base(NamedTuple):
         if panes is not None and self.panes is not None:
             differ |= panes.keys != self.panes.keys
         moved = (shadow.keys != self.shadow.keys).reshape(shadow.height, shadow.width)
+        # The neighbours, too: shading mixes four texels.
         moved[:, :-1] |= moved[:, 1:]
         moved[:-1] |= moved[1:]
         moved[:, 1:] |= moved[:, :-1]

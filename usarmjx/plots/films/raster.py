@@ -96,7 +96,9 @@ class Canvas:
         along = np.arange(total, dtype=np.int32) - np.repeat(
             (np.cumsum(rows.pixels) - rows.pixels).astype(np.int32), rows.pixels
         )
+        # Never 0, which stands for an empty pixel.
         near = np.maximum(rows.base[row] + rows.slope[row] * along.astype(np.float32), np.float32(1e-20))
+        # Bits of positive floats sort as the floats do, so one comparison of integers finds the nearest.
         key = near.view(np.uint32).astype(np.uint64)
         key <<= np.uint64(32)
         key |= rows.number[row]
@@ -125,6 +127,7 @@ def _rows(
     xy: np.ndarray, area: np.ndarray, nearness: np.ndarray, number: np.ndarray, width: int, height: int
 ) -> _Rows:
     """Return the rows of triangles whose pixels have their centres inside."""
+    # Rows whose centres lie inside, half open: triangles that share an edge share no pixel.
     top = np.clip(np.ceil(xy[..., 1].min(1) - 0.5), 0, height).astype(int)
     bottom = np.clip(np.ceil(xy[..., 1].max(1) - 0.5), 0, height).astype(int)
     count = np.maximum(bottom - top, 0)
@@ -134,6 +137,7 @@ def _rows(
     left, right = np.zeros(len(which)), np.full(len(which), float(width))
     for corner in range(3):
         start, edge = xy[:, corner], xy[:, (corner + 1) % 3] - xy[:, corner]
+        # Level edges bound no row; the 1 below only avoids a division by 0.
         level = edge[:, 1] == 0
         slope = edge[:, 0] / np.where(level, 1.0, edge[:, 1])
         x = start[which, 0] + (middle - start[which, 1]) * slope[which]
@@ -180,6 +184,7 @@ def clip_near(corners: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.n
     for inside in (1, 2):
         some = np.flatnonzero(many == inside)
         lone = ahead[some] if inside == 1 else ~ahead[some]
+        # Rotated, not mirrored, so that the parts keep the triangle's orientation.
         order = (np.argmax(lone, 1)[:, None] + np.arange(3)) % 3
         a, b, c = np.moveaxis(np.take_along_axis(corners[some], order[..., None], 1), 1, 0)
         on_b, on_c = _cut(a, b), _cut(a, c)
@@ -372,6 +377,7 @@ class Solids:
         """Return corners (n, 3, 3), normals (n, 3, 3) and which of them are shown (n,) in a frame."""
         with numpy_backend():
             turns = np.asarray(mat_from_quat(np.asarray(frame.quat, np.float64)))
+        # One pose more, that of the floor: its body is -1, which indexes the last one.
         turns = np.concatenate([turns, np.eye(3)[None]])
         places = np.concatenate([frame.pos, np.zeros((1, 3))])
         shown = np.append(frame.shown, True)
