@@ -23,6 +23,7 @@ from usarmjx.sensors.rays.raycast_warp import (
     box_key,
     geom_of,
     lanes,
+    lanes_in_which,
     least_key_of_lanes,
     local,
     row_of,
@@ -40,16 +41,6 @@ MOST_GEOMS = 256
 CONE_MARGIN = wp.constant(bundles.CONE_MARGIN)
 INNER_SHELL, MIDDLE_SHELL = wp.constant(0.15), wp.constant(0.35)
 """Radii of the shells as shares of the reach (chosen)."""
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __ballot_sync(0xffffffffu, x);
-#else
-    return x ? 1u : 0u;
-#endif
-""")
-def _votes(x: bool) -> wp.uint32: ...
 
 
 @wp.func_native("""
@@ -220,7 +211,7 @@ def _list_near_geoms(
             else:
                 gap = _shared_gaps(slot, -1.0)
             here = gap > low and gap <= high
-            votes = _votes(here)
+            votes = lanes_in_which(here)
             if here:
                 if width == 1:
                     listed[end] = slot
