@@ -218,7 +218,7 @@ their number; on a CPU to the first thread alone."""
 @cache
 def near_groups() -> tuple[Any, Any]:
     """Return two functions: one of `NEAR_CODE`, and one of how many threads share a world."""
-    words = {"HELD_GROUPS": HELD_GROUPS, "THREADS": THREADS, "FAR": "1e6f", "SLACK": "1e-4f"}
+    words = {"HELD_GROUPS": HELD_GROUPS, "THREADS": THREADS, "FAR": f"{FAR}f", "SLACK": f"{SLACK}f"}
 
     @wp.func_native(expand_macros(NEAR_CODE, words))
     def find(  # noqa: PLR0913 - a kernel's arguments are its buffers
