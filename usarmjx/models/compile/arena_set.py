@@ -72,6 +72,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
     boxes, lengths = list[Shape](), list[float]()
     for own in _by_form([sorted_boxes(arena) for arena in arenas], box_form):
         most = max(own, key=len)
+        # Slot k holds the k-th longest box of every arena, so its bound is tight for all.
         longest = [max(max(row[k].size) for row in own if k < len(row)) for k in range(len(most))]
         more = room(len(most)) - len(most)
         # Spare slots have the longest box as their example, so that they fit any later one.
@@ -116,6 +117,7 @@ def loose_form(loose: LooseObject) -> Hashable:
 
 def _by_form(groups: Sequence[Sequence[Thing]], form: Callable[[Thing], Hashable]) -> list[list[list[Thing]]]:
     """Return the members of groups by their form (forms, groups, ...)."""
+    # A dictionary keeps the order of appearance, which a set would not: slots are the same in every run.
     forms = dict.fromkeys(form(one) for group in groups for one in group)
     return [[[one for one in group if form(one) == kind] for group in groups] for kind in forms]
 
@@ -211,6 +213,7 @@ class ArenaSet:
             raise SpecError(f"arena {arena.name} reaches beyond {self.template.extent}")
         if len(arena.starts) < self.slots.starts:
             raise SpecError(f"arena {arena.name} has {len(arena.starts)} of {self.slots.starts} start poses")
+        # Resolved as it would be later: sorting decides which box comes into which slot.
         own = _states([arena], self.slots, [0])
         sizes = np.concatenate([own.size[0], own.victims.size[0]])
         if (sizes.max(-1) > self.slots.half_lengths + 1e-6).any():
@@ -280,6 +283,7 @@ def _states(
             raise SpecError(f"arena {arena.name} has more victims, tags or lamps than its batch has room for")
     tables = [pad_table(table, *slots.victims) for table in tables]
     tags = [tag_table(arena.tags, slots.tags) for arena in arenas]
+    # Unused boxes cannot be absent: all worlds share one model.
     parked = np.array([*PARKED_POS, 1.0, 0.0, 0.0, 0.0, *PARKED_SIZE])
     placed = np.array([[parked if shape is None else _box(shape) for shape in row] for row in boxed])
     placed = placed.reshape(len(arenas), len(slots.boxes), 10).astype(np.float32)
@@ -306,6 +310,7 @@ def _states(
 
 def arena_index_of(number: Array, episode: Array, arenas: int) -> Array:
     """Return the arena of a world in an episode: worlds go through the arenas in turn (...,)."""
+    # 7919 is coprime to every smaller number of arenas, and to all that are no multiples of it.
     return (number + ARENA_STRIDE * episode) % arenas
 
 

@@ -103,6 +103,7 @@ def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec, *, moves: bool = False) -> 
     of_world = len(arena.shapes) > MAX_BODY_SOLIDS and not moves
     for i, shape in enumerate(arena.shapes):
         geom = add_geom(spec, spec.worldbody if of_world else body, f"{ARENA_PREFIX}{i}", shape)
+        # Geoms of the world lack the lift of the body `arena`.
         geom.pos[2] += arena.floor if of_world else 0.0
     _add_victims(spec, body, arena)
     for loose in arena.loose:
@@ -141,6 +142,7 @@ def add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float, *, held: bo
     if held:
         body.gravcomp = 1.0
         add_weld(spec, name, WORLD, name, (body.pos, body.quat))
+        # Contacts with what it hangs beside would work against the weld.
         for other in (WORLD, ARENA):
             spec.add_exclude(bodyname1=other, bodyname2=name)
 
@@ -174,6 +176,7 @@ def remove_weld(spec: mujoco.MjSpec, name: str) -> None:
 
 def set_weld(data: np.ndarray, pos: Array | Vec3, quat: Array) -> None:
     """Set the numbers of a weld so that it holds an object at a pose: position [m], orientation (4,)."""
+    # MuJoCo's layout: anchor, relative position, relative quaternion, torque scale.
     data[:11] = (0.0, 0.0, 0.0, *pos, *quat, 1.0)
 
 
@@ -199,6 +202,7 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     For engines whose broad phase compares bounding spheres: that of a long wall overlaps everything. If an
     arena would give more than `MAX_BOX_PIECES`, the pieces are longer.
     """
+    # Other engines compile the same description with whole boxes.
     spec = spec.copy()
     arena = spec.body(ARENA)
     if arena is None:
@@ -209,6 +213,7 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MAX_BOX_PIECES:
         longest *= 1.25
     for body, geom in owned:
+        # The margin keeps a box of exactly n lengths at n pieces.
         parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
         fixed = geom.name.startswith(ARENA_PREFIX) and geom.contype
         if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1 or not fixed:
@@ -222,6 +227,7 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
             name = f"{geom.name}/{'.'.join(map(str, piece))}"
             pos = geom.pos + mat.reshape(3, 3) @ offset
             body.add_geom(name=name, pos=pos, size=geom.size / parts, **shared)
+        # The loop runs over a list that was made beforehand: deleting changes the body's own.
         spec.delete(geom)
     return spec.compile()
 
@@ -253,6 +259,7 @@ def cap_contacts(
     """Set the capacity of the batch engines' contact buffers, in custom numbers that only MJX reads."""
     geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
     loose = sum(_touching(thing.shapes) for thing in arena.loose)
+    # Settings are per P2AT: scenes of smaller robots still get the room of one.
     contacts = max(1.0, geoms / REFERENCE_GEOMS) * physics.contacts_per_robot + loose * LOOSE_CONTACTS
     pairs = max(1.0, (geoms + loose) / REFERENCE_GEOMS) * physics.pairs_per_robot
     for name, room in (("max_contact_points", contacts), ("max_geom_pairs", pairs)):
@@ -276,6 +283,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
         add_geom(spec, chassis, f"{prefix}chassis/{i}", shape)
     if robot.inertia is not None:
         set_inertia(chassis, stated_inertia(robot.inertia), solids)
+    # Parents come first in `parts_of`, so each finds its body here.
     bodies = {CHASSIS: chassis}
     for part in parts_of(robot):
         bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
@@ -337,12 +345,14 @@ def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> Non
     """
     pull = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     pull.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+    # Its activation is the integral of its input: the target's position, of which ctrl is the speed.
     pull.gainprm[0] = motor.stiffness
     hold = spec.add_actuator(
         name=joint.name + HOLD_SUFFIX, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
     )
     hold.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
     hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
+    # The limit is on the joint and not on either actuator: only their sum is the servo's torque.
     joint.actfrclimited = True
     joint.actfrcrange = [-motor.strongest, motor.strongest]
 

@@ -158,6 +158,7 @@ class KinematicTree:
         zero = np.zeros_like(x)
         # K, the axis' cross-product matrix: R = 1 + sin(q) K + (1 - cos(q)) K^2 (Rodrigues).
         across = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        # Slides keep their orientation, so their factors of sine and cosine are zero.
         twice = np.where(slides[:, None], 0.0, rest @ across @ across)
         motions = (
             self.offset[1:],
@@ -181,6 +182,7 @@ class KinematicTree:
     @cached_property
     def body_order(self) -> np.ndarray:
         """Index of each body in the concatenation of the chassis and the levels (bodies,)."""
+        # The inverse of a permutation: the chassis counts as joint -1.
         return np.argsort(np.concatenate([[-1], *(level.joints for level in self.levels)]))
 
     def joint_index(self, name: str) -> int | None:
@@ -195,6 +197,7 @@ class KinematicTree:
 @cache
 def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
     """Return the kinematic tree of a robot class, read off its compiled model."""
+    # Read off the compiled model instead of computed: geoms, masses and axes are then MuJoCo's own.
     nowhere = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))
     spec = new_spec(nowhere, Physics())
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
@@ -259,6 +262,7 @@ def bounding_corners(
 
 def _reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray, way: np.ndarray) -> float:
     """Return the largest coordinate of the masked geoms along a direction (3,) [m]."""
+    # The direction in each geom's own axes, where its extent is known.
     local = data.geom_xmat.reshape(-1, 3, 3).swapaxes(1, 2) @ way
     up = np.abs(local)
     radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
@@ -377,6 +381,7 @@ class Servos:
 def servos_of(robot: RobotSpec) -> Servos:
     """Return the servo constants of a robot class."""
     parts = parts_of(robot)
+    # Stiffness and armature are divisors: ones keep the constants of joints without a motor finite.
     no_motor = Motor(max_speed=0.0, torque=0.0, stiffness=1.0, damping=0.0, armature=1.0)
     motors = [part.motor or no_motor for part in parts]
     limits = [part.limits or (-np.inf, np.inf) for part in parts]
@@ -404,6 +409,7 @@ def servos_of(robot: RobotSpec) -> Servos:
 def _surge(robot: RobotSpec, motor: Motor, motors: list[Motor]) -> float:
     if motor.stall_torque is None:
         return 0.0
+    # A wheel that pushes its share of the robot has this mass at its rim.
     share = robot.mass / sum(one.stall_torque is not None for one in motors)
     return motor.torque / (motor.armature + share * robot.wheel_radius**2)
 
@@ -430,6 +436,7 @@ def with_measurements(robot: RobotSpec) -> RobotSpec:
     low, high = bounding_box(robot)
     wheels = [i for i, part in enumerate(tree.parts) if part in {wheel.name for wheel in robot.wheels}]
     spread = np.ptp(tree.rest_pos[wheels], axis=0) if wheels else np.zeros(3)
+    # MuJoCo's first size of all round kinds is the radius.
     radii = [shape.size[0] for part in robot.wheels for shape in part.shapes if shape.kind in ROUND]
     length, width, height = (high - low).round(MEASUREMENT_DECIMALS).tolist()
     return replace(

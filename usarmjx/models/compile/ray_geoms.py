@@ -52,6 +52,7 @@ class RayPrimitives:
 
     def world_poses(self, pos: Array, mat: Array) -> tuple[Array, Array]:
         """Return positions (n, 3) and orientations (n, 3, 3) of the primitives for those of the geoms."""
+        # Whole geoms have the pose of their geom: nothing to compose.
         if (self.kind < TRIANGLE_KIND).all():
             return pos[self.geom], mat[self.geom]
         turn, local = mat[self.geom], self.pos.astype(np.float32)
@@ -136,6 +137,7 @@ def _hull_faces(corners: np.ndarray) -> np.ndarray:
     hull = ConvexHull(corners)
     triangles = corners[hull.simplices]
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    # Qhull orders the corners of its triangles arbitrarily.
     inward = (normal * hull.equations[:, :3]).sum(-1) < 0
     triangles[inward] = triangles[inward][:, ::-1]
     return triangles
@@ -164,6 +166,7 @@ def terrain_grid(model: mujoco.MjModel, data: int) -> tuple[np.ndarray, np.ndarr
     rows, columns = int(model.hfield_nrow[data]), int(model.hfield_ncol[data])
     half_x, half_y, top, _ = model.hfield_size[data].tolist()
     first = model.hfield_adr[data]
+    # MuJoCo keeps heights from 0 to 1, and their scale apart.
     z = model.hfield_data[first : first + rows * columns].astype(float).reshape(rows, columns) * top
     return (
         np.linspace(-float(half_x), float(half_x), columns),

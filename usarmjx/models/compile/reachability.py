@@ -87,6 +87,7 @@ def walkable_surfaces(
     grounds, steeps = [np.full(squares, np.nan)], [np.zeros(squares)]
 
     def close(which: np.ndarray) -> None:
+        # A block whose top is only a steep face has no ground, unless the face is no higher than a step.
         which = which[np.isfinite(firm[which]) & (top[which] <= firm[which] + step)]
         for layer in range(int(count[which].max(initial=-1)) + 1):
             if layer == len(grounds):
@@ -147,6 +148,7 @@ def surface_adjacencies(
         for a, b in product(range(len(ground)), repeat=2):
             rise = step + RISE_TOLERANCE + length * np.maximum(steep[a][here], steep[b][there])
             joined[a, b] = np.abs(ground[a][here] - ground[b][there]) <= rise  # False beside NaN
+        # The pair of lowest layers stays, so that each direction has an entry.
         some = {pair: which for pair, which in joined.items() if pair == (0, 0) or which.any()}
         yield SurfaceAdjacency(corner=bool(di and dj), here=here, there=there, joined=some)
 
@@ -213,6 +215,7 @@ def label_areas(which: np.ndarray, links: tuple[SurfaceAdjacency, ...]) -> np.nd
                 ends.append(number[b][link.there][both])
     pairs = np.concatenate(starts), np.concatenate(ends)
     graph = coo_array((np.ones(len(pairs[0]), np.int8), pairs), shape=(count, count))
+    # Renumbered in place: from a node of the graph to its component.
     number[which] = connected_components(graph, directed=False)[1]
     return number
 
@@ -347,6 +350,7 @@ def reach_map(
     area = label_areas(erode(free, links, steps), links)
     x, y, z = (start or arena.starts[0]).at
     i, j = grid.index(x, y)
+    # A start pose exactly on the upper edge has an index one past the end.
     i, j = min(i, grid.shape[0] - 1), min(j, grid.shape[1] - 1)
     under = np.flatnonzero(ground[:, i, j] <= z - START_ELEVATION + SURFACE_TOLERANCE)
     home = int(area[under[-1], i, j]) if len(under) else -1

@@ -76,6 +76,7 @@ def stance_of(robot: RobotSpec) -> Stance:
     """
     (model, index), clearance = _on_ground(robot), kinematic_tree_of(robot).clearance
     if not robot.drive.applies_wrench:
+        # Settled by the physics instead of computed: contacts, springs and servos all give way at once.
         rest = _settled(model, index, GROUND.floor + clearance)
         height, tilt = float(rest[2]) - GROUND.floor, _without_yaw(rest[3:7])
         if abs(height - clearance) < MAX_SINKING and 2 * math.hypot(*tilt[1:3]) < MAX_TILT:
@@ -105,6 +106,7 @@ def varied_stance(robot: RobotSpec, wheel: float, mass: float) -> Stance:
     chassis = index.body_ids[0]
     model.body_mass[chassis] *= mass
     model.body_inertia[chassis] *= mass
+    # Derived constants such as `body_subtreemass` still belong to the old mass.
     mujoco.mj_setConst(model, mujoco.MjData(model))
     touches = (model.geom_contype | model.geom_conaffinity) != 0
     solid = touches & np.isin(model.geom_bodyid, index.body_ids)
@@ -115,6 +117,7 @@ def varied_stance(robot: RobotSpec, wheel: float, mass: float) -> Stance:
         height, tilt = float(rest[2]) - GROUND.floor, _without_yaw(rest[3:7])
         if 2 * math.hypot(*tilt[1:3]) < MAX_LEAN:
             return Stance(height, tilt, _without_wheels(robot, rest[7:]), usual.sinking)
+    # Such a robot has no stance to compare with: only its lowest point is lifted or lowered.
     before = _lowest_point(*_on_ground(robot), root, np.zeros(len(index.qposadr)), solid)
     return Stance(usual.height + before - low, usual.tilt, usual.joints, usual.sinking)
 
@@ -140,17 +143,20 @@ def _settled(model: mujoco.MjModel, index: RobotIndex, height: float) -> np.ndar
     """Return pose and joints (7 + joints,) of a robot that settles, started level at a height [m]."""
     data = mujoco.MjData(model)
     root = slice(index.root_qposadr, index.root_qposadr + 7)
+    # Without its holding actuators a robot's servos would be slack.
     data.ctrl[list(index.hold_actuator_ids)] = 1.0
     data.qpos[root] = 0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0
     total, own = np.zeros(model.nq), [*range(model.nq)[root], *index.qposadr]
     for step in range(SETTLING_STEPS):
         mujoco.mj_step(model, data)
+        # Quaternions may be averaged here: they differ by trembling alone.
         total += data.qpos * (step >= SETTLING_STEPS - MEAN_STEPS)
     return total[own] / MEAN_STEPS
 
 
 def _without_yaw(quat: np.ndarray) -> np.ndarray:
     """Return an orientation of little tilt (4,) turned about the vertical to yaw 0."""
+    # Heading alone, reversed: its product with the orientation leaves the tilt.
     back = quat * (1.0, 0.0, 0.0, -1.0)
     w, x, y, _ = quat_times(parts(back), parts(quat))
     turned = np.array([w, x, y, -x * y / w])  # yaw 0 is x y + w z = 0

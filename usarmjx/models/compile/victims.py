@@ -270,6 +270,7 @@ def build_victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAl
         rows = _body(victim, owner, len(boxes))
         bones = [row.name for row in rows]
         mouth = next((bones.index(name) for name in ("Head", "Pelvis") if name in bones), None)
+        # Victims may have lost their head: the pelvis stands in for it, else the victim's own position.
         mouths.append(-1 if mouth is None else len(boxes) + mouth)
         boxes += rows
     for k, alarm in enumerate(false_alarms):
@@ -328,9 +329,11 @@ def _body(victim: Victim, owner: int, first: int) -> list[_Box]:
     rows: dict[str, _Box] = {}
     for name, bone in BONES.items():
         segment = own.get(name, SegmentMotion(name=name))
+        # A scaled bone scales all that hangs on it.
         scale[name] = scale[bone.parent] * segment.scale
         if segment.initial == segment.final == ZERO:  # no pose of its own
             segment = replace(segment, initial=posture.get(name, ZERO), final=posture.get(name, ZERO))
+        # A scale of 0 hides a bone and all that hangs on it.
         if scale[name] == 0:
             continue
         root = bone.parent is None
@@ -419,6 +422,7 @@ def pad_table(table: VictimTable, boxes: int, victims: int) -> VictimTable:
         rows = people if name in voices else more
         fill = {"at": PARKED_COORDINATE, "mouth": -1}.get(name, fills.get(name, 0.0))
         columns[name] = filled(value, rows, fill)
+    # Zeros are no orientation.
     columns["base"][table.num_boxes :, 0] = 1.0
     return VictimTable(**columns)
 
@@ -454,7 +458,9 @@ def segment_angles(table: VictimTable, time: Time, xp: ModuleType = np) -> tuple
     """
     span = xp.abs(table.final - table.initial)
     way = xp.sign(table.final - table.initial)
+    # An angle that does not move has no cycle; 1 avoids 0 / 0, and its rate decides nothing.
     turn = 2 * xp.where(span > 0, span, 1.0)
+    # By shares of a cycle, which stay exact in worlds of any age; time times rate would lose digits.
     gone = turn * cycle_share(time, table.rate / turn, 2, xp)
     back = gone > span
     angle = table.initial + way * xp.where(back, turn - gone, gone)
@@ -494,6 +500,7 @@ def loudness(table: VictimTable, time: Time, xp: ModuleType = np) -> Array:
     The first cry begins at time 0.
     """
     cycle = table.duration + table.pause
+    # Silent victims have no cycle.
     cycle = xp.where(cycle > 0, cycle, 1.0)
     since = cycle * cycle_share(time, 1.0 / cycle, 1, xp)
     return xp.where(since < table.duration, table.loudness, 0.0)

@@ -56,6 +56,7 @@ def added_mass(radii: Vec3) -> tuple[np.ndarray, np.ndarray]:
     for axis in range(3):
         j, k = (axis + 1) % 3, (axis + 2) % 3
         difference, total, bent = square[j] - square[k], square[j] + square[k], factors[k] - factors[j]
+        # A body of revolution moves no fluid as it turns about its axis: the formula is 0 / 0 there.
         if difference:
             about[axis] = difference**2 * bent / (2 * difference - total * bent) / total
     return along, about
@@ -138,6 +139,7 @@ class Hull:
         """
         radii = np.array(self.radii, np.float32)
         reach = xp.linalg.norm(radii * up, axis=-1, keepdims=True)
+        # In units of the half height along the vertical: -1 just above the water, 1 just below its surface.
         level = xp.clip(depth[..., None] / reach, -1.0, 1.0)
         # Volume and centroid of a spherical segment, in units of the ball's.
         share = (2 + 3 * level - level**3) / 4
@@ -182,6 +184,7 @@ class Hull:
         lever = middle + np.array([0.0, 0.0, self.cog_depth])
         torque = xp.cross(lever, share * self.weight * up)
         torque = torque - share * (about * xp.abs(angular) + calm) * angular
+        # The engine pulls the body down by its own weight; the hull's weight is in the force already.
         gravity = np.array([0.0, 0.0, self.mass * GRAVITY, 0.0, 0.0, 0.0])
         return self.body_wrench(mat, force, torque, share) + gravity
 
@@ -198,6 +201,7 @@ def plate_force(area: float, slope: float, speed: Array, across: Array) -> Array
         speed: Speed of the plate through the water [m/s] (...,).
         across: Its component along the plate's normal [m/s] (...,).
     """
+    # At rest there is no flow, and the squared speed makes the force 0 whatever the angle.
     sine = across / xp.maximum(speed, 1e-6)
     return (
         -WATER_DENSITY

@@ -87,6 +87,7 @@ class Ackermann(Drive):
     def control_modes(self, setpoint: Array) -> Array:
         """Return the control modes (..., joints): wheels that only brake are held at Speed 0, else free."""
         modes = np.array([aim.mode for aim in self.joint_controls], np.int32)
+        # Exactly 0 is the command to stop: a slow crawl must not lock the passive wheels.
         stands = (setpoint[..., 0:1] == 0.0) & (modes == TORQUE_MODE)
         return xp.where(stands, VELOCITY_MODE, modes)
 
@@ -107,7 +108,9 @@ class Ackermann(Drive):
         middle = powered.mean(1, keepdims=True)
         pace = xp.hypot(*self._heading(powered, front, rear))
         spin = speed * pace / xp.hypot(*self._heading(middle, front, rear))
+        # In a bend the outermost wheel has the longest way.
         fastest = xp.max(xp.abs(spin), axis=-1, keepdims=True)
+        # All alike, so that the turning centre stays where it is.
         spin = spin * (self.max_spin / xp.maximum(fastest, self.max_spin))
         ahead, left = self._heading(steered, front, rear)
         still = xp.zeros((*spin.shape[:-1], sum(map(_only_brakes, self.wheels))), spin.dtype)
@@ -139,6 +142,7 @@ class Ackermann(Drive):
 
     def _axle(self, joints: Mapping[str, float], axle_x: float) -> tuple[float, float]:
         """Return the means of tan a and of y tan a over the wheels at that x."""
+        # Exactly: `axle_x` is one of the wheels' own numbers.
         axle = [wheel for wheel in self.wheels if wheel.x == axle_x]
         tangents = [tan(joints[wheel.steer]) if wheel.steer else 0.0 for wheel in axle]
         levers = [wheel.y * tangent for wheel, tangent in zip(axle, tangents, strict=True)]

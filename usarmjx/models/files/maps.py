@@ -66,6 +66,7 @@ class GridFrame:
         x, y, yaw = self.origin
         local = np.array([column * self.cell[0], row * self.cell[1], 0.0])
         dx, dy, _ = (mat_from_angles(0.0, 0.0, np.float64(yaw)) @ local).tolist()
+        # Rounded to a nanometre, so that neighbouring boxes share their corners to the bit.
         return (round(x + dx, 9), round(y + dy, 9))
 
     def box(self, cells: Cells, low: float, high: float, rgba: Rgba = WALL_RGBA) -> Shape:
@@ -90,6 +91,7 @@ def cover(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
 
     Up to `MAX_DISJOINT` of them do not overlap; more of them may. A list longer than `most` is no cover.
     """
+    # Rows first or columns first: maps of long corridors differ by a factor.
     found = min(rectangles(filled, most), _turned(rectangles(filled.T, most)), key=len)
     if len(found) <= MAX_DISJOINT:
         return found
@@ -106,9 +108,11 @@ def rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
     for row in range(left.shape[0]):
         if len(found) > most:
             break
+        # Steps up and down alternate: pairs of them are runs of true cells.
         edges = np.flatnonzero(np.diff(left[row].astype(np.int8), prepend=0, append=0))
         for start, stop in edges.reshape(-1, 2).tolist():
             below = np.asarray(left[row:, start:stop].all(axis=1))
+            # `argmin` of booleans is the first False, and 0 where there is none.
             end = row + (len(below) if below.all() else int(below.argmin()))
             left[row:end, start:stop] = False
             found.append((row, end, start, stop))
@@ -168,6 +172,7 @@ class _Sums:
     def __init__(self, filled: np.ndarray) -> None:
         self._rows, self._columns = filled.shape
         sums = np.zeros((self._rows + 1, self._columns + 1), np.int32)
+        # A border of zeros spares the special cases of the first row and column.
         np.cumsum(np.cumsum(filled, axis=0, dtype=np.int32), axis=1, out=sums[1:, 1:])
         self._sums = sums
 
@@ -189,6 +194,7 @@ class _Sums:
         return (r0, r1, c0, c1)
 
     def _along_row(self, r0: int, r1: int, c0: int, c1: int) -> tuple[int, int]:
+        # Bisection: a run that is full stays full when it is shortened.
         low, high = 0, c0
         while low < high:
             middle = (low + high) // 2
@@ -302,14 +308,17 @@ def read_occupancy_grid(value: FileValue, unknown: Unknown = "free") -> Occupanc
     else:
         share = (255 - mean) / 255
         wall, free = share > high, share < low
+        # Between the thresholds.
         lost = ~wall & ~free
         if mode == "scale":
             lost &= ~opaque
+            # map_server's own formula: 1 to 99 between the thresholds.
             graded = 1 + 98 * (share - low) / max(high - low, 1e-9)
             wall |= ~wall & ~free & ~lost & (graded >= GRADED_WALL_VALUE)
     if unknown == "occupied":
         wall = wall | lost
     wall, specks = without_specks(wall, given.min_blob / given.resolution)
+    # An origin of two numbers has yaw 0; of three the appended one is cut off.
     x, y, yaw = (*given.origin, 0.0)[:3]
     return OccupancyGrid(wall, free, given.resolution, (x, y, yaw), specks)
 

@@ -95,6 +95,7 @@ def _clean(corners: np.ndarray) -> np.ndarray:
     if len(ring) < 3:
         return np.zeros((0, 2))
     found = np.array(ring)
+    # Everything below takes left turns for convex.
     return found if signed_area(found) > 0 else found[::-1]
 
 
@@ -123,6 +124,7 @@ def _triangles(ring: np.ndarray) -> list[tuple[int, int, int]]:
 def _is_ear(ring: np.ndarray, left: list[int], place: int) -> bool:
     before, here, after = left[place - 1], left[place], left[(place + 1) % len(left)]
     a, b, c = ring[before], ring[here], ring[after]
+    # A reflex corner: its triangle lies outside of the polygon.
     if _cross(a, b, c) <= 0:
         return False
     others = ring[[i for i in left if i not in (before, here, after)]]
@@ -136,11 +138,13 @@ def _is_ear(ring: np.ndarray, left: list[int], place: int) -> bool:
 def _merged(ring: np.ndarray, parts: list[list[int]]) -> list[list[int]]:
     """Join convex polygons over an edge that they share, edge by edge, where the joined one is convex."""
     owner = {edge: number for number, part in enumerate(parts) for edge in _edges(part)}
+    # Inner edges belong to two triangles, in opposite directions; the outline's to one.
     for a, b in [edge for edge in owner if edge[0] < edge[1] and edge[::-1] in owner]:
         one, other = owner[a, b], owner[b, a]
         joined = _joined(parts[one], parts[other])
         if joined is not None and _is_convex_polygon(ring[joined]):
             parts[one], parts[other] = joined, []
+            # The shared edge keeps its old owners, but is inside now and never asked for again.
             owner |= dict.fromkeys(_edges(joined), one)
     return [part for part in parts if part]
 
@@ -219,6 +223,7 @@ def _flat_groups(
     """
     corners, areas = np.asarray(mesh.triangles, float), np.asarray(mesh.area_faces)
     normals = np.asarray(mesh.face_normals, float)
+    # The largest face first: its normal is the most certain, and defines the plane.
     order: list[int] = facet[np.argsort(-areas[facet], kind="stable")].tolist()
     waiting = set(order)
     for seed in order:
@@ -251,6 +256,7 @@ def _of_plane(mesh: Any, faces: np.ndarray) -> list[Plate]:  # noqa: ANN401 - tr
         except ValueError:
             parts = []
         area = sum(map(signed_area, parts))
+        # Another area means a fold or an overlap: then every triangle is a plate of its own.
         if parts and abs(area - areas.sum()) < 1e-3 * areas.sum():
             return [_plate(back(part), normal) for part in parts]
     kept = triangles[areas >= MIN_PLATE_AREA]
@@ -307,6 +313,7 @@ def hull_corners(vertices: np.ndarray) -> np.ndarray:
         hull = hull_of(vertices)
     except (QhullError, ValueError):
         return _thickened(vertices)
+    # Qhull may succeed on a nearly flat mesh, whose hull MuJoCo then refuses.
     if hull.volume < MIN_THICKNESS**3:
         return _thickened(vertices)
     points = vertices[hull.vertices]
@@ -327,6 +334,7 @@ def hull_corners(vertices: np.ndarray) -> np.ndarray:
         # The farthest corner of each face, the farthest of these first.
         fresh = {int(i) for i in outside.argmax(0) if worst[i] > HULL_TOLERANCE} - chosen
         room = MAX_HULL_CORNERS - len(chosen)
+        # Half of them at a time: the near ones may lie within the hull of the far ones.
         chosen |= set(sorted(fresh, key=lambda i: -worst[i])[: min(room, max(1, len(fresh) // 2))])
     return points[sorted(chosen)]
 
@@ -365,6 +373,7 @@ def round_about(vertices: np.ndarray, axis: np.ndarray, anchor: np.ndarray) -> R
     x = across[np.argmax(far)] / radius
     angles = np.arctan2(across @ np.cross(axis, x), across @ x)[rim]
     ordered = np.sort(angles)
+    # Closed over the full turn: the last gap is from the last corner to the first.
     gaps = np.diff(np.append(ordered, ordered[0] + 2 * math.pi))
     if len(ordered) < MIN_SIDES or gaps.max() > 2 * math.pi / MIN_SIDES + 1e-6:
         return None

@@ -184,6 +184,7 @@ def find_corrupt_facet(path: Path, data: bytes) -> str:
     corners, said = facets["corners"].astype(float), facets["normal"].astype(float)
     reach = np.abs(corners).max(axis=(1, 2))
     usual = float(np.median(reach))
+    # The median is not moved by the corrupt corner itself.
     if reach.max() > MAX_OUTLIER_RATIO * max(usual, 1e-9):
         return (
             f"facet {reach.argmax() + 1} has a corner {reach.max():.3g} m away, most are within {usual:.3g}"
@@ -193,6 +194,7 @@ def find_corrupt_facet(path: Path, data: bytes) -> str:
     if not area.all():
         return f"facet {area.argmin() + 1} has no area"
     unlike = (length > 0) & ((normal * said).sum(1) < MIN_NORMAL_COSINE * area * length)
+    # Files whose normals are all zero or all reversed are common, and no damage.
     if 0 < unlike.sum() < announced / 2:
         return f"facet {unlike.argmax() + 1} has another normal than its corners"
     return ""
@@ -227,6 +229,7 @@ def _words(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield line number and word, without the names of solids."""
     for number, line in enumerate(data.lower().splitlines(), 1):
         words = line.split()
+        # A solid's name may be any words, "facet" and "vertex" among them.
         named = words[:1] in ([b"solid"], [b"endsolid"]) and b"normal" not in words
         for word in words[:1] if named else words:
             yield number, word
@@ -234,6 +237,7 @@ def _words(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 def _check_dae(path: Path, data: bytes) -> None:
     """Refuse what is no COLLADA or places no mesh; a document type's entities could expand exponentially."""
+    # Latin-1 decodes any bytes: the checks below need ASCII words only, whatever the encoding.
     text = data.decode("utf-16" if data.startswith(BYTE_ORDER_MARKS) else "latin-1", "replace")
     if "<collada" not in text[:4096].lower():
         raise mesh_error(path, "it is no COLLADA: its root is not <COLLADA>")
@@ -262,6 +266,7 @@ def _check_ply(path: Path, data: bytes) -> None:
     }
     for name in (b"vertex", b"face"):
         count = counts.get(name, b"0")
+        # An element takes a byte at least: a larger number would make its reader allocate without end.
         if not count.isdigit() or not 0 < int(count) <= len(data):
             raise mesh_error(path, f"it announces {_shown(count)} elements {name.decode()}")
 
@@ -321,6 +326,7 @@ def load_convex_pieces(
             that has too many vertices; names it.
     """
     x, y, z = scale
+    # Pieces are cached by content: a file that changes while a program runs is read again.
     digest = _checked_file(path)
     try:
         return [*_pieces_of(path, digest, (x, y, z), hull, rays)]

@@ -100,6 +100,7 @@ class SdfModel:
     @cached_property
     def _entities(self) -> dict[str, LinedElement]:
         kinds = ("link", "joint", "frame")
+        # Reversed: of two of one name the first one in the file counts.
         return {one.get("name", ""): one for kind in kinds for one in reversed(self.element.all(kind))}
 
     @cached_property
@@ -154,6 +155,7 @@ class SdfModel:
     def pose_of_model(self, inner: "SdfModel", seen: Sequence[str] = ()) -> Pose:
         """Return the pose of a model in this one."""
         pose = self.placed(inner.pose, seen)
+        # The pose is that of the placement frame: the model's own follows by going back from there.
         return pose.then(inverse(inner.frame(inner.placement))) if inner.placement else pose
 
     def placed(self, pose: LinedElement | None, seen: Sequence[str] = (), base: str = "") -> Pose:
@@ -165,6 +167,7 @@ class SdfModel:
             base: Frame that it is relative to if it does not say so; empty: the model's own.
         """
         if pose is not None:
+            # `frame` is the attribute's name before SDF 1.7.
             base = pose.get("relative_to") or pose.get("frame") or base
         return self.frame(base, seen).then(read_pose(pose))
 
@@ -229,6 +232,8 @@ class SdfFiles:
     def _model(self, element: LinedElement, owner: SdfModel, above: tuple[Path, ...]) -> SdfModel:
         if len(above) > MAX_SDF_DEPTH or owner.path.count("::") > MAX_SDF_DEPTH:
             raise element.error(f"models are nested more than {MAX_SDF_DEPTH} deep")
+        # Counted with every inclusion: a few lines that include each other can stand for millions of
+        # elements.
         self._elements += 1 + sum(1 for _ in element.iter())
         if self._elements > MAX_SDF_ELEMENTS:
             raise element.error(f"more than {MAX_SDF_ELEMENTS} elements with all that is included")
@@ -261,6 +266,7 @@ class SdfFiles:
                 "name folders to search"
             )
             return None
+        # Links are resolved: a model may include itself under another name of its folder.
         if file.resolve() in above:
             raise include.error(f"{uri} includes itself")
         root = self.root(file)
@@ -288,6 +294,7 @@ class SdfFiles:
         """Return the file of a model, by its address; None: it is not there."""
         found = self.file(uri, origin)
         if found is None and "://" not in uri:
+            # A bare name counts as that of a model.
             found = self.file(f"model://{uri}", origin)
         if found is None or found.is_file():
             return found
@@ -305,6 +312,7 @@ class SdfFiles:
             files = [(_version(one.get("version", "")), folder / (one.text or "").strip()) for one in named]
             there = [(version, file) for version, file in files if file.is_file()]
             if there:
+                # Gazebo takes the newest version that it reads.
                 return max(there, key=lambda pair: pair[0])[1]
         found = folder / "model.sdf"
         return found if found.is_file() else None
@@ -333,6 +341,7 @@ def _builtin(content: str, include: LinedElement) -> LinedElement:
     model = read_lined_xml(include.path, text)
     for element in model.iter():
         if isinstance(element, LinedElement):
+            # Built-in models have no file: messages name the line that includes them.
             element.line = include.line
     return model
 

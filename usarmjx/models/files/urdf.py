@@ -99,6 +99,7 @@ def mend_urdf(root: LinedElement) -> list[str]:
             if text is None:
                 continue
             words = text.replace(",", " ").split()
+            # Fewer numbers are left to the reader, which refuses them.
             if "," not in text and len(words) <= count:
                 continue
             said = "commas" if "," in text else f"{len(words)} numbers"
@@ -242,6 +243,7 @@ def _frames(root: LinedElement) -> dict[str, Pose]:
     names = dict.fromkeys(link.get("name", "") for link in root.all("link"))
     joints = joints_by_parent(root, names)
     above = {link_at(joint, "child"): joint for some in joints.values() for joint in some}
+    # A file may have several roots: each stands at the origin.
     frames = {name: NO_POSE for name in names if name not in above}
     waiting = list(frames)
     # The list grows while it is walked; links of a circle are never reached.
@@ -352,6 +354,7 @@ class _UrdfReader:
         self._links = {link.get("name", ""): link for link in root.all("link")}
         self._spec = mujoco.MjSpec()
         self._spec.compiler.degree = False
+        # Some exporters write no collision geometry at all: such a robot would fall through the floor.
         self._visual_only = all(link.first("collision/geometry") is None for link in self._links.values())
         self._meshes: dict[tuple[str, tuple[float, ...], int], list[str]] = {}
         self._bodies: dict[str, mujoco.MjsBody] = {}
@@ -368,6 +371,7 @@ class _UrdfReader:
         if self._visual_only:
             self._source.notes.append(f"{self._path}: no link collides: visual solids collide in their place")
         waiting: list[tuple[str, LinedElement | None, mujoco.MjsBody]] = [(top, None, self._spec.worldbody)]
+        # The list grows while it is walked: links are added parents first, without recursion.
         for name, joint, parent in waiting:
             body = self._add_link(name, joint, parent)
             waiting += [(link_at(child, "child"), child, body) for child in joints.get(name, ())]
@@ -378,6 +382,7 @@ class _UrdfReader:
 
     def _weigh_chassis(self, top: str, joints: Mapping[str, list[LinedElement]]) -> None:
         """Give the root a mass where it and all links that are fixed to it have none."""
+        # Links on fixed joints have no joint in MuJoCo: they weigh like a part of the root.
         rigid = [top]
         for name in rigid:
             if self._bodies[name].mass > MIN_MASS:

@@ -184,9 +184,11 @@ def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
         tips = plan.leaves()
         if not tips:
             break
+        # Always three draws, used or not: later victims do not depend on what became of this one.
         cell, lies, facing = draw.choice(tips), draw.randint(2), draw.randint(4)
         before = plan.remove_leaf(cell)
         number = len(builder.victims) + 1
+        # In step with the wanted share, so that any number of victims comes as near to it as it can.
         if walled_in < number - round(reachable * number):
             walled_in += 1
             plan.seal(cell)
@@ -207,6 +209,7 @@ def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
             last = before
             at, posture, length, roof = middle(cell), "sitting", STRUCTURE_SIZE, ROOF
         low = highest < roof
+        # The access to a victim must not be cut off by the next one.
         plan.kept.add(last)
         builder.clear.add(last)
         if low:
@@ -236,6 +239,7 @@ def place_boards(builder: ArenaBuilder) -> set[Cell]:
     spare = len(builder.plan.tree) - len(builder.obstructed) - MIN_CELLS_WITHOUT_BOARDS
     count = max(0, min(builder.max_count("boards"), spare))
     height = lerp(0.25, 0.95, builder.difficulty.roughness) * builder.footprint.step
+    # The first of a shuffled list: more boards keep the places of fewer.
     taken = draw.shuffled(cells)[:count]
     for cell in taken:
         size = (0.09, 1.0, height) if draw.randint(2) else (1.0, 0.09, height)
@@ -251,6 +255,7 @@ def place_clutter(builder: ArenaBuilder, free: list[Cell]) -> None:
     draw, clutter, corner = builder.random_stream("clutter"), builder.difficulty.clutter, builder.corner
     cells = draw.shuffled([cell for cell in free if cell not in builder.clear])
     height = lerp(0.1, 0.3, builder.difficulty.roughness)
+    # Drawn for all cells before any is used, so that more clutter keeps the spots of less.
     spots = [_spot(builder, cell, draw) for cell in cells]
     for i in range(min(round(clutter * builder.max_count("loose")), len(cells))):
         form = tuple(FORMS)[i % len(FORMS)]
@@ -264,6 +269,7 @@ def place_clutter(builder: ArenaBuilder, free: list[Cell]) -> None:
         builder.loose.append(
             LooseObject(name=f"{form}{i + 1}", at=at, rotation=(0.0, 0.0, yaw), shapes=FORMS[form])
         )
+    # From the end of the list, while loose objects are taken from its beginning.
     for spot in spots[max(0, len(spots) - round(clutter * builder.max_count("blocks"))) :]:
         half = (0.15, 0.095, height / 2) if spot.strip else (0.1, 0.05, height / 2)
         at = _beside(spot.cell, corner, half, spot.turned, spot.along)
@@ -319,6 +325,7 @@ def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
         x, y = middle(cell)
         x, y = x - START_OFFSET * builder.corner[0], y - START_OFFSET * builder.corner[1]
         toward = builder.plan.tree[cell][0] if builder.plan.tree[cell] else (cell[0] + 1, cell[1])
+        # Quarter turns from -1 to 2, so that the yaw lies within half a turn to each side.
         yaw = (DIRECTIONS.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
         tag = f"Start{number}" if number else "PlayerStart"
         builder.starts.append(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2))
@@ -329,6 +336,7 @@ def place_obstacles(builder: ArenaBuilder) -> None:
     share, obstacle = builder.difficulty.obstacles, builder.kind.obstacle
     if not share:
         return
+    # A stream for each purpose: another number of obstacles moves no victim.
     draw, away = builder.random_stream("obstacles"), distances(builder.plan)
     rings = draw.shuffled(_rings(builder, away))
     left = min(builder.max_count("obstacles"), len(builder.plan.tree) // 2)
@@ -339,6 +347,7 @@ def place_obstacles(builder: ArenaBuilder) -> None:
         left -= len(ring)
         for cell in ring:
             ways = _ways(builder.plan, cell)
+            # Ways of one axis: boards and ridges lie across it; at corners and crossings only posts fit.
             straight = len({way % 2 for way in ways}) == 1
             name = obstacle if straight else "posts"
             builder.shapes += OBSTACLES.get(name)(draw, middle(cell), heights[name], ways[0])

@@ -142,6 +142,7 @@ def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: WarningLog) -> li
             before; names file and line.
     """
     pairs: dict[str, JointPair] = {}
+    # By number, wherever the lines stand in the file: parents have to come first.
     for number, (line, units) in sorted(lines.items()):
         if len(pairs) == MAX_PARTS:
             fail(line, f"this is part {len(pairs) + 1}", f"a robot of at most {MAX_PARTS}")
@@ -158,8 +159,10 @@ def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: WarningLog) -> li
             fail(line, f"unknown JointClass {wanted!r}", "KCarWheelJoint, KDHinge or KSlider")
         parent = _parent_of(line, struct, pairs)
         self_pos = units.position(vector_of(line, struct, "SelfPos"))
+        # SelfPos is the joint in the part's own axes; here the part's middle in the joint's is needed.
         middle = _add(ZERO, self_pos, -1)
         at = units.position(vector_of(line, struct, "ParentPos"))
+        # ParentPos is relative to the parent's middle, positions here to its joint.
         at = _add(at, parent.middle) if parent else at
         pairs[name.lower()] = JointPair(
             line=line,
@@ -225,6 +228,7 @@ def check_own_axes(pair: JointPair) -> None:
             for side in ("Self", "Parent")
         )
     )
+    # An axis may be given in either direction.
     if min(abs(steep - theirs), abs(180.0 - steep - theirs)) > AXES_TOLERANCE:
         fail(
             pair.line,
@@ -246,6 +250,7 @@ def _near(pair: JointPair, field: str, towards: Vec3, least: float) -> Vec3:
     if abs(along) < least:
         expected = {LEFT: "(X=0,Y=1,Z=0)", UP: "one near (X=0,Y=0,Z=1)"}[towards]
         fail(pair.line, f"{field} of wheel {pair.name} is {tuple(axis.round(4).tolist())}", expected)
+    # Adding 0.0 turns -0.0 into 0.0, which texts and digests would tell apart.
     x, y, z = (axis * np.sign(along) + 0.0).tolist()
     return (x, y, z)
 
@@ -306,6 +311,7 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
     known = model.shapes[0] if model else None
     radius = number_of(line, struct, "Radius", known and known.size[0], above=0.0)
     width = number_of(line, struct, "Width", known and 2 * known.size[1], above=0.0)
+    # Robots of many wheels: all of them together stay below half of the weight.
     usual = known.mass if known else weight * min(WHEEL_SHARE, 0.5 / wheels)
     mass = number_of(line, struct, "Mass", usual, above=0.0)
     load = weight / wheels
@@ -315,6 +321,7 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
         max_speed=number_of(line, struct, "MaxSpeed", motor.max_speed, above=0.0),
         torque=number_of(line, struct, "Torque", motor.torque, above=0.0),
         brake=pair.brake,
+        # A stated torque replaces the model's whole motor curve.
         stall_torque=motor.stall_torque if struct.get("Torque") is None else None,
     )
     upright = steering_axis(pair)

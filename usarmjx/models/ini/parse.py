@@ -92,6 +92,7 @@ class Struct:
     def get(self, name: str, default: IniValue | None = None) -> IniValue | None:
         """Return the last value of that name, case ignored, or the default."""
         wanted = name.lower()
+        # The last one counts, as of repeated keys.
         return next((value for key, value in reversed(self.fields) if key.lower() == wanted), default)
 
 
@@ -125,9 +126,11 @@ class LineParser:
             value = self._item(depth=0)
             self.end("the value")
             return value
+        # Bare text reaches to the end of the line: Unreal's texts have spaces and commas without quotes.
         text = self._bare_text()
         if found := _REFERENCE.fullmatch(text):
             return Reference(*found.groups())
+        # Programs of some locales write 0,5.
         if _COMMA_DECIMAL.fullmatch(text):
             text = text.replace(",", ".")
         return self._scalar(text)
@@ -189,6 +192,7 @@ class LineParser:
         values: list[IniValue] = []
         more = True
         while more:
+            # Tried first: a word alone does not tell a name from a value, only the '=' behind it does.
             name = self._field_name()
             if name is not None:
                 fields.append((name, self._item(depth)))
@@ -218,6 +222,7 @@ class LineParser:
         start = self.pos
         name = self._word()
         if self._peek() != "=":
+            # It is a value: it is read again from its beginning.
             self.pos = start
             return None
         if not _NAME.fullmatch(name):
@@ -376,6 +381,7 @@ def _decode(data: bytes) -> str:
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
+        # Latin-1 takes any bytes, so no file is refused for its encoding.
         return data.decode("latin-1")
 
 
@@ -392,6 +398,7 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
     """
     blocks = _Blocks()
     count = 0
+    # Not `splitlines`, which also splits at form feeds and Unicode's separators.
     for number, text_line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
         bare = text_line.strip()
         if not bare or bare.startswith((";", "//")):
