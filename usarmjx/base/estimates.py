@@ -92,6 +92,7 @@ def even(name: str, count: int, groups: int = 1) -> Factor:
         count: Number of draws.
         groups: Number of strata that they were drawn from; residuals are within strata.
     """
+    # One mean is fitted for each stratum.
     dof = count - groups
     scale = np.full(count, 1.0 / (count * dof) if dof > 0 else np.inf)
     return Factor(name, np.full(count, 1.0 / count), np.full((count, 1), count**-0.5), scale, max(dof, 0))
@@ -109,6 +110,7 @@ def adjusted(name: str, terms: np.ndarray, contrast: np.ndarray) -> Factor:
     """
     basis, upper = np.linalg.qr(terms)
     weights = basis @ np.linalg.solve(upper.T, contrast)
+    # Rounding may exceed 1, where a draw fits itself; its variance is infinite then, and not negative.
     leverage = np.minimum((basis**2).sum(-1), 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(weights == 0.0, 0.0, weights**2 / (1.0 - leverage))
@@ -191,6 +193,7 @@ def quantile_of_t(dof: np.ndarray | float) -> np.ndarray:
     functions: Any = special
     dof = np.asarray(dof, float)
     normal = functions.ndtri((1 + CONFIDENCE) / 2)
+    # `stdtrit` returns NaN for infinite degrees of freedom; the normal quantile takes its place.
     finite = np.where(np.isfinite(dof), dof, 1.0)
     quantile = np.asarray(functions.stdtrit(finite, (1 + CONFIDENCE) / 2), float)
     return np.where(np.isfinite(dof), quantile, np.float64(normal))
@@ -248,8 +251,10 @@ def p_value(value: float, variance: float, dof: float) -> float:
 def holm(values: Sequence[float]) -> list[float]:
     """Return p-values corrected for all comparisons (Holm, Scandinavian Journal of Statistics 6, 1979)."""
     order = np.argsort(values, kind="stable")
+    # The smallest is corrected for all comparisons, the next for one fewer.
     raised = np.array(values, float)[order] * (len(values) - np.arange(len(values)))
     found = np.empty(len(values))
+    # A larger p-value must not become the smaller one by its smaller factor.
     found[order] = np.minimum(np.maximum.accumulate(raised), 1.0)
     return found.tolist()
 
@@ -306,6 +311,7 @@ def interquartile_effects(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     kept = order[cut : len(values) - cut]
     inside = np.zeros(len(values))
     inside[kept] = len(values) / len(kept)
+    # Values that are left out still pull at the mean up to the last one that is kept.
     clipped = np.clip(values, values[kept[0]], values[kept[-1]])
     influence = (clipped - clipped.mean()) * len(values) / len(kept)
     return values[kept].mean() + influence, inside
@@ -370,6 +376,7 @@ def estimate_groups(
     index = np.arange(len(values)) if groups is None else _numbered(groups)
     level = np.zeros(len(values), int) if strata is None else _numbered(strata)
     there = int(index.max()) + 1
+    # Strata of single groups have no residuals: their variance would seem to be 0.
     if there < 2 * (level.max() + 1):
         level = np.zeros(len(values), int)
     middle = float(values.mean())
@@ -445,6 +452,7 @@ class Resampler:
             shared = np.random.default_rng((self.seed, task))
             weights = shared.multinomial(buildings, np.full(buildings, 1.0 / buildings), self.draws)
             means = weighted_means(table, weights)
+            # Buildings are shared by all methods, so that differences of methods do not contain their spread.
             own = np.random.default_rng((self.seed, task, 1 + stream))
             picked = own.integers(0, runs, (self.draws, runs, 1))
             found.append(np.take_along_axis(means, picked, 1))

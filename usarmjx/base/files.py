@@ -35,6 +35,7 @@ def disk_error(error: BaseException | None) -> str | None:
     while error is not None:
         if isinstance(error, OSError) and error.errno in DISK_ERRORS:
             return os.strerror(error.errno)
+        # Libraries wrap the system's error in their own.
         error = error.__cause__ or error.__context__
     return None
 
@@ -47,6 +48,7 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
     """
     try:
         with path.open("rb") as file:
+            # One byte more than allowed tells too long from just fitting, also of a pipe, which has no size.
             data = file.read(max_bytes + 1)
     except OSError as error:
         raise SpecError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -90,6 +92,7 @@ def atomic_write(path: Path) -> Generator[Path]:
         try:
             yield fresh
             with fresh.open("rb+") as file:
+                # Before the rename: else a crash of the machine could leave the new name on an empty file.
                 os.fsync(file.fileno())
             fresh.replace(target)
         finally:
@@ -103,6 +106,7 @@ def _partial_file(target: Path) -> Path:
         # Containers that share a folder share process ids. The suffix stays last for those that look at it.
         fresh = target.with_name(f".{target.stem}{PARTIAL_MARK}-{secrets.token_hex(8)}{target.suffix}")
         try:
+            # The usual permissions, less the umask; files of `tempfile` would be private.
             os.close(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         except FileExistsError:
             continue
@@ -140,6 +144,7 @@ class AppendedFile:
             end = self._size + len(left)
             try:
                 while left:
+                    # Unbuffered files may take only a part of what they are given.
                     left = left[file.write(left) :]
             except OSError:
                 # A partial record at the end would make the file unreadable.
@@ -149,6 +154,7 @@ class AppendedFile:
 
     def _open(self) -> FileIO:
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        # Unbuffered: what is appended is either in the file or still waiting, and never in between.
         self._file = FileIO(self.path, "a")
         self._size = os.fstat(self._file.fileno()).st_size
         return self._file

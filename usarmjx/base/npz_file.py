@@ -62,6 +62,7 @@ def read_npz(file: Path, limits: NpzLimits, kinds: Callable[[str], str]) -> dict
 def _check_sizes(file: Path, members: Sequence[zipfile.ZipInfo], limits: NpzLimits) -> None:
     if len(members) > limits.arrays:
         raise UsageError(f"{file} has {len(members)} arrays; a {limits.noun} has at most {limits.arrays}")
+    # Sizes from the directory, before anything is unpacked: a small file may hold gigabytes of zeros.
     packed, unpacked = file.stat().st_size, sum(one.file_size for one in members)
     most = min(limits.most, max(limits.usual, limits.ratio * packed))
     if unpacked > most:
@@ -88,4 +89,5 @@ def _words(kinds: str) -> str:
 
 def _read(held: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray[Any, Any]:
     with held.open(member) as stream:
+        # Pickled objects would run code of whoever wrote the file.
         return np.asarray(npy.read_array(stream, allow_pickle=False))

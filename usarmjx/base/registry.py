@@ -109,6 +109,8 @@ class Registry(Generic[T]):
     def _key(self, name: str) -> str:
         key = name.lower()
         key = self._aliases.get(key, key)
+        # An entry of exactly that name comes first: a bare name is the newest version's only if nobody has
+        # it.
         return key if key in self._entries else self._newest().get(key, key).lower()
 
     def _newest(self) -> dict[str, str]:
@@ -164,5 +166,6 @@ def values_in(package: ModuleType, kind: type[T]) -> list[T]:
             module = import_module(f"{package.__name__}.{info.name}")
             for name, value in vars(module).items():
                 if isinstance(value, kind) and not name.startswith("_"):
+                    # By identity: equal descriptions under two names are two entries.
                     found.setdefault(id(value), value)
     return list(found.values())

@@ -40,6 +40,7 @@ class WorkerProcesses:
     """
 
     def __init__(self, count: int, modules: Sequence[str] = ()) -> None:
+        # Workers are new interpreters: they find what this one has on its path, also without an installation.
         path = os.pathsep.join(entry for entry in sys.path if entry)
         settings = {**os.environ, **SETTINGS, "PYTHONPATH": path}
         imports = "".join(f"import {module}; " for module in modules)
@@ -50,6 +51,7 @@ class WorkerProcesses:
             subprocess.Popen(command, env=settings, stdin=pipe, stdout=pipe, start_new_session=True)
             for _ in range(count)
         ]
+        # A bound method would hold the object, which would then never be collected.
         finalize(self, _end, self._processes)
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
@@ -60,7 +62,9 @@ class WorkerProcesses:
         """
         parts = [[*items]]
         if self._processes:
+            # Dealt out like cards: neighbouring items often take equally long.
             parts = [parts[0][first :: len(self._processes)] for first in range(len(self._processes))]
+        # All are asked before any is answered, so that they work at the same time.
         asked = [_ask(*one, function) for one in zip(self._processes, parts, strict=False)]
         done = [
             _answer(process) if told else None for process, told in zip(self._processes, asked, strict=True)
@@ -127,6 +131,7 @@ def _answer(process: subprocess.Popen[bytes]) -> list[Any] | None:
     try:
         assert process.stdout is not None
         return pickle.load(process.stdout)
+    # Half an answer may still be in the pipe: the worker is of no use any more.
     except (*BROKEN, ImportError):
         process.kill()
         return None

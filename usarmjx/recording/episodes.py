@@ -74,6 +74,7 @@ class EpisodeRecorder:
         """Return the reason why the episode cannot be replayed; empty if it can."""
         if self._seed is None:
             return MIDST
+        # Compiled as one, steps are rounded otherwise than one by one.
         if self._env.traceable:
             return f"engine {self._env.batch.engine.name} compiles a task's steps as one; take engine c"
         return "its arenas were generated" if self._env.levels else ""
@@ -114,6 +115,7 @@ class TrainingRecorder:
 
     def look(self, state: EnvState) -> None:
         """Record the worlds, if this iteration is recorded."""
+        # The call before the first iteration counts as -1 and is always recorded: it is the start.
         if self._count < 0 or self._count // self._calls % self._every == 0:
             self._episodes.watch(state)
         self._count += 1
@@ -221,6 +223,7 @@ class BlackBox:
             self._record_worlds([(int(world), int(bad[:, world].argmax())) for world in worlds])
         except (UsageError, OSError) as error:
             self._say(f"a world went bad, and cannot be recorded: {error}")
+            # One failure stops all further attempts: each would cost a training as much time.
             self._most = 0
 
     def _record_worlds(self, worlds: list[tuple[int, int]]) -> None:
@@ -228,6 +231,7 @@ class BlackBox:
         assert self._last is not None  # as the caller says
         env, last = self._env, self._last
         window = math.ceil(SECONDS / env.period - 1e-6)
+        # A world that went bad early in its rollout has its last seconds partly in the one before.
         earlier = self._before if min(step for _, step in worlds) + 1 < window else None
         shift = 0 if earlier is None else earlier.steps
         boxes = [_Box(world, shift + step, max(0, shift + step + 1 - window)) for world, step in worlds]

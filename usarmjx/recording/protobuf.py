@@ -57,6 +57,7 @@ def read_bag(path: Path, begin: int = 0) -> Iterator[BagMessage]:
         stores = import_module("rosbags.typesys")
     except ModuleNotFoundError as error:
         raise MissingExtraError(f"{error.name} is not installed: {install_command('foxglove')}") from error
+    # For ROS 2 bags without definitions of their messages; others bring their own.
     store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
     found = False
     try:
@@ -67,6 +68,7 @@ def read_bag(path: Path, begin: int = 0) -> Iterator[BagMessage]:
                 message = reader.deserialize(data, connection.msgtype)
                 schema, convert = CONVERTERS[connection.msgtype]
                 found = True
+                # Bags have times of day, recordings those of their world.
                 at = time - start + begin
                 yield BagMessage(at, f"/{BAG}{connection.topic}", schema, convert(message, at))
     except (highlevel.AnyReaderError, OSError) as error:
@@ -282,5 +284,6 @@ def _fill(message: Any, value: Mapping[str, Any]) -> None:  # noqa: ANN401 - a g
             setattr(message, key, item)
         else:
             target = getattr(message, key)
+            # A message of zeros would count as absent: protobuf does not write defaults.
             target.SetInParent()
             _fill(target, item)

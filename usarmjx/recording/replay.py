@@ -139,6 +139,7 @@ def _position(pos: np.ndarray) -> Vec3:
 def state_arrays(state: BatchState) -> list[Any]:
     """Return the arrays of a batch's physics and worlds; random keys as their data."""
     worlds, arena = state.worlds, state.worlds.arena_state
+    # Typed keys have no bytes of their own.
     keyed = worlds.replace(key=jax.random.key_data(worlds.key))
     if arena is not None:  # notes are a task's own
         keyed = keyed.replace(arena_state=arena.replace(notes={}))
@@ -171,6 +172,7 @@ class ReplayedBatch:
         self._reset_bad = setup.reset_bad
         if setup.snapshot:
             self.restore(setup.snapshot)
+        # Steps before the recording began: the state then follows from them and need not be stored.
         for _ in range(setup.steps_before):
             self._state = self._batch.step(self._state)
 
@@ -268,6 +270,7 @@ def check_recording(recording: Recording, number: int) -> ReplayResult:
         if not isinstance(message.value, StepState):
             replayed.apply(message.value)
             continue
+        # Inputs are written before the state of the step that they act in.
         while steps < message.value.step:
             replayed.step()
             steps += setup.repeat
@@ -324,8 +327,10 @@ def _owner(scene: Scene, part: str, index: int) -> str:
         name = model.actuator(int(np.argmax(model.actuator_actadr == index))).name
     else:
         addresses = model.jnt_qposadr if part == "qpos" else model.jnt_dofadr
+        # A joint may have several numbers: the last address up to the index is its own.
         joint = int(np.searchsorted(addresses, index, side="right")) - 1
         name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
+    # Names of robots' parts begin with the slot's prefix, as of `scene.prefix_of`.
     owner, _, rest = name.partition("/")
     if owner[:1] == "r" and owner[1:].isdecimal():
         entry = scene.roster[int(owner[1:])]

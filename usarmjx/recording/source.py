@@ -84,6 +84,7 @@ class RecordingSource:
         found = self.recording.last("drawings", self.worlds[world], time)
         if found is None or not isinstance(found.value, Drawing):
             raise UsageError(f"{self.recording.path}: no drawing of world {world} at {time:.2f} s")
+        # Cached by the drawing's own time: frames of one drawing get one object, which the page compares.
         if found.time != time:
             return self._read(world, found.time)
         return found.time, found.value
@@ -107,6 +108,7 @@ class RecordingSource:
             return known
         number = self.worlds[world]
         before = self.recording.last("frames", number, self.time)
+        # Before a world's first frame it is shown as it begins.
         before = before or self.recording.following("frames", number, -1.0)
         assert before is not None  # every world of `_worlds` has a frame
         self._around[world] = before, self.recording.following("frames", number, before.time)
@@ -182,6 +184,7 @@ class Timeline:
             self._slider = gui.add_slider("Time [s]", source.start, longest, STEP, source.start)
         self._button.on_click(lambda _: page.post(self.toggle))
         self._speed.on_update(lambda _: page.post(self._change_speed))
+        # The slider also moves by itself while it plays; then there is no client.
         self._slider.on_update(lambda event: self._scrubbed(page) if event.client is not None else None)
 
     def _scrubbed(self, page: "ViewerPage") -> None:
@@ -205,6 +208,7 @@ class Timeline:
     def tick(self) -> None:
         """Advance the recording by the elapsed time."""
         now = self._now()
+        # Measured, not counted: ticks come late when the page is busy.
         passed, self._before = now - self._before, now
         if self.playing:
             self._source.seek(self._source.time + passed * self.speed)

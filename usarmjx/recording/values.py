@@ -53,6 +53,7 @@ def pack(value: Any) -> bytes:  # noqa: ANN401 - any of the values
     Raises:
         UsageError: A part of it cannot be recorded; names its type.
     """
+    # Strict: subclasses of dict, list or int go through `_plain`, which knows the values of usarmjx.
     packed = msgpack.packb(value, default=_plain, strict_types=True)
     assert packed is not None  # only a Packer that collects returns nothing
     return packed
@@ -101,8 +102,10 @@ def _array(code: int, data: bytes) -> np.ndarray:
     if code != ARRAY:
         raise UsageError(f"a value of the unknown kind {code}")
     shape, dtype, content = msgpack.unpackb(data)
+    # The dtype is a text of the file: an object array would be made of addresses.
     if np.dtype(dtype).kind not in NUMBERS:
         raise UsageError(f"an array of {dtype}")
+    # A view of the bytes, without a copy, and therefore read-only.
     return np.frombuffer(content, dtype).reshape(shape)
 
 
@@ -114,4 +117,5 @@ def _value(plain: dict[str, Any]) -> Any:  # noqa: ANN401
     kind = _kinds().get(plain[KIND])
     if kind is None:
         raise UsageError(f"a {plain[KIND]!r}, which this version of usarmjx does not know")
+    # Fields that a later version has dropped are ignored, new ones keep their defaults.
     return kind(**{name: plain[name] for name in _names(kind) if name in plain})

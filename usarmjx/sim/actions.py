@@ -96,11 +96,13 @@ def apply_actions(
         world = _update(scene, world, joints.group, update, where)
     for effecter in actions.effecter_actions:
         world = _operate(scene, world, physics, effecter, where)
+    # Before new messages are sent, which may arrive in this step.
     if world.mail is not None:
         world = world.replace(mail=world.mail.replace(count=xp.zeros_like(world.mail.count)))
     messages = actions.messages
     if messages is not None:
         if where is not None and not all_send:
+            # Rows are senders: those that receive no orders send nothing.
             messages = messages.replace(receivers=messages.receivers & where[:, None])
         world = world.replace(mail=send(scene, world, messages))
     return world

@@ -39,6 +39,7 @@ def update_robot_spec(world: SingleWorld, slot: int, robot: RobotSpec) -> None:
     if _names(robot) != _names(before):
         raise UsageError(f"a running {before.name} keeps its parts and its load")
     suite_of(robot)  # raises what is wrong with a setting
+    # Sensors and drives alone are not in the model: nothing has to be compiled.
     if _solids(robot) == _solids(before):
         world.replace_robot(slot, robot)
         return
@@ -67,6 +68,7 @@ def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec)
     parking = parking_position(world.scene.arena, slot)
 
     def build(robot: RobotSpec, spec: mujoco.MjSpec) -> None:
+        # The undo may run after a failure in the middle, when the robot is gone already.
         if spec.body(f"{prefix}chassis") is not None:
             remove_robot(spec, prefix)
         add_robot(spec, robot, prefix, parking)
@@ -84,6 +86,7 @@ def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec)
             (data.ctrl, actuators),
         ]
 
+    # The robot is removed and added: `recompile` keeps the state of others only.
     values = [array[indices].copy() for array, indices in state_rows(before)]
     present = before
     try:
@@ -95,6 +98,7 @@ def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec)
     finally:
         for (array, indices), value in zip(state_rows(present), values, strict=True):
             array[indices] = value
+        # Rays and cameras read poses before the next step computes them.
         mujoco.mj_kinematics(engine.model, engine.data)
 
 
@@ -161,6 +165,7 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
         SpecError: A file or value that is wrong, or a robot that cannot be built; nothing has changed then.
     """
     before = _active_files[0] if _active_files[0].are_intact_in(ROBOTS) else ActiveFiles()
+    # From the robots without any file, so that files that came earlier are not applied twice.
     stock, files = before.without(ROBOTS), (*before.files, *read_files(paths, uu_per_metre))
     loaded = build_robots(files, stock, settings_by_kind())
     warnings = [*loaded.warnings, *_check(loaded, stock, ", ".join(file.path for file in files))]
@@ -169,6 +174,7 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
     changed = tuple(robot for robot in (*loaded.robots, *restored) if ROBOTS.find(robot.name) != robot)
     fresh = tuple(text for text in warnings if text not in before.warnings)
     loaded = replace(loaded, robots=changed, warnings=fresh)
+    # Last: everything that can fail has been tried on copies.
     loaded.apply(ROBOTS)
     _active_files[0] = ActiveFiles(
         files=files,
@@ -191,6 +197,7 @@ def _check(loaded: LoadedRobots, stock: Registry[RobotSpec], files: str) -> list
             suite_of(robot)
         except UsageError as error:
             raise SpecError(f"{places.get(robot.name, files)}: robot {robot.name}: {error}") from error
+        # Stock robots that were too heavy before are no fault of the files.
         mine = robot.name in places or not (robot.name in stock and overload(stock.get(robot.name)))
         if mine and (problem := overload(robot)):
             warnings.append(f"{places.get(robot.name, files)}: {problem}")

@@ -130,7 +130,9 @@ def apply_operation(
         The new state and the result: a parameter that is out of range, or no number, does nothing.
     """
     value, opcode = xp.asarray(value, xp.float32), what.opcode
+    # Without a parameter any number is in range: the value is a stand-in.
     low, high = (opcode.min_val, opcode.max_val) if opcode.takes_value else (-np.inf, np.inf)
+    # Clipped for the effect, and compared unclipped below: a value just off the limit by rounding is meant.
     effect = what.effecter.effect(opcode, xp.clip(value, low, high), state.stock)
     # Comparisons with NaN are false: a parameter that is no number does nothing.
     done = mask & (value >= low - LIMIT_TOLERANCE) & (value <= high + LIMIT_TOLERANCE) & effect.possible
@@ -158,6 +160,7 @@ def _update_command(what: Operation, effect: Effect, command: RobotCommand, done
 def _drop_tags(tags: DroppedTags, ground: Array, requested: Array) -> tuple[Array, DroppedTags]:
     """Put one tag on the ground (n, 3) for each robot of a mask, as long as there is room."""
     requested = requested & xp.isfinite(ground).all(-1)
+    # Robots of one step take places in the order of their group.
     index = tags.count + xp.cumsum(requested) - 1
     done = requested & (index < MAX_DROPPED_TAGS)
     # A table in place of a scatter: several robots may drop tags in one step, each at an index of its own.
@@ -232,6 +235,7 @@ def operate(
     group, state = scene.groups[order.group], world.groups[order.group]
     effecter = group.effecters[order.effecter]
 
+    # A function: most operations drop nothing, and need no rays.
     def ground() -> Array:
         bodies = vmap(partial(forward_kinematics, group.plan))(robot_states(group, physics))
         point = effecter_position(effecter, group.plan, bodies)

@@ -42,6 +42,7 @@ def world_radio(scene: Scene, world: World) -> AnyRadioSettings:
     if varied is None:
         return usual
     drawn = {name: getattr(varied, f"radio_{name}") for name in ("pdo", "n", "cutoff", "atten_fac")}
+    # Constants that do not vary stay plain numbers, which XLA folds into the program.
     if all(value is None for value in drawn.values()):
         return usual
     own = {name: getattr(usual, name) if value is None else value for name, value in drawn.items()}
@@ -77,6 +78,7 @@ def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[A
 
 def link_interval(scene: Scene) -> int:
     """Return the number of control steps between two evaluations of the links."""
+    # A period shorter than a control step means every step.
     return max(1, round(radio_of(scene).period / scene.physics.period))
 
 
@@ -97,6 +99,7 @@ def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
         return add_boxes(arena_solids(scene.arena), *doors)
     # Solids of an arena set stand on its floor: z is lifted to that of the scene.
     arena, lift = world.arena_state, xp.array([0.0, 0.0, scene.arena.floor])
+    # The template's last boxes are for victims, which do not attenuate.
     shapes = scene.arena.shapes[: len(arena.pos)]
     walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)
     pos, mat = arena.pos[walls] + lift, mat_from_quat(arena.quat[walls])
@@ -114,6 +117,7 @@ def update_links(scene: Scene, world: World, physics: PhysicsState) -> Links:
     now = evaluate_links(world_radio(scene, world), walls, (places, in_use), _links(world), key, world.step)
     if on_numpy():
         return now
+    # Under `vmap` worlds may be due at different times, since each counts from its own reset.
     return jax.tree.map(lambda new, old: xp.where(due, new, old), now, last_links(world))
 
 

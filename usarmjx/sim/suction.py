@@ -76,6 +76,7 @@ class Suction:
         base = index.body_ids[kinematic_tree_of(robot).parts.index(effecter.mount.parent)]
         thing, reach = self._ahead(caster, place[0], base, effecter), effecter.settings.suction_length
         if thing is None:
+            # Closed on nothing: it reports so, and catches nothing that comes by until it is closed again.
             self._closed[place] = None
             return
         one, other = model.body(base).name, model.body(thing).name
@@ -104,6 +105,7 @@ class Suction:
         held = [hold for place in places if (hold := self._closed.pop(place, None)) is not None]
         for hold in held:
             self._engine.unweld(hold.name)
+        # Each weld is a compilation of the model: the scene is resolved once, after all of them.
         if held:
             self._changed()
 

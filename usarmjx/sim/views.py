@@ -56,6 +56,7 @@ def geom_colors_of(scene: Scene) -> GeomColors:
     )
     replaced = np.zeros(model.ngeom, bool)
     for one in visuals:
+        # Solids that visuals stand for are hidden from cameras, or both would be seen.
         replaced |= np.isin(np.arange(model.ngeom) if one.of_geoms else model.geom_bodyid, one.frames)
     boxes = GeomBlock(pos=water.pos, mat=water.mat, size=water.size, owner=water.owner)
     return GeomColors(appearance, materials, boxes, visuals, np.flatnonzero(replaced))
@@ -171,6 +172,7 @@ def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> He
         pos.append(body.pos[:, lamp.body] + mat @ lamp.pos)
         along.append(mat @ lamp.direction)
         on.append(state.command.light & powered(scene, world, group, state))
+    # The empty array first: a scene may have no robots.
     slots = np.concatenate([np.zeros(0, int), *(group.slots for group in scene.groups)])
     return Headlights(
         pos=xp.concatenate([xp.zeros((0, 3)), *pos]),

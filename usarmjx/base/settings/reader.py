@@ -113,6 +113,7 @@ def _unexpected(value: object, expects: str) -> PydanticCustomError:
 
 def _with_names(error: ValidationError, names: Mapping[str | None, str]) -> ValidationError:
     """Return an error whose values go by other names."""
+    # Only the first one: later errors often follow from it.
     lines: list[InitErrorDetails] = [
         {
             "type": PydanticCustomError(
@@ -245,6 +246,7 @@ class Reader:
         """
         kind = type(instance)
         record = self._record(kind)
+        # By fields, not by `vars`: instances may have slots.
         given = {name: getattr(instance, name) for name in record.fields}
         with self._refusals(given, kind.__name__):
             values = record.validator.validate_python(given)
@@ -287,6 +289,7 @@ class Reader:
         return self._records[kind]
 
     def _read(self, kind: type, data: object, base: object, defaults: Mapping[str, object]) -> object:
+        # Built in Python, and checked by its own `__post_init__`.
         if isinstance(data, kind):
             return data
         record = self._record(kind)
@@ -316,6 +319,7 @@ class Reader:
         except ValidationError as error:
             plain, names = _plain(data), self._name_of
             spelt = {names(kind, key): key for key in cast(Mapping[str, Any], plain)}
+            # The reader's own names mean nothing to the author of a file in the manual's spelling.
             raise _with_names(error, spelt) from None
 
     def _name_of(self, kind: type, key: object) -> str | None:

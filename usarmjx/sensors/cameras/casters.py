@@ -145,6 +145,7 @@ class GeomCaster:
         if beams.carrier is None:
             return dark
         label = jnp.asarray(self.appearance.label)[jnp.maximum(block.geom_index, 0)]
+        # A lamp sits in or on its robot, which would keep all of its light.
         own = label == jnp.asarray(beams.carrier)[jnp.maximum(beams.source, 0)]
         return dark & ~(own & (block.geom_index >= 0))
 
@@ -170,6 +171,7 @@ def _masked_rays(wanted: Array, start: Array, along: Array) -> tuple[jax.Array, 
     """
     missing = -len(wanted) % TILE_BUNDLE_SIZE
     asked = _padded(jnp.asarray(wanted), missing).reshape(-1, TILE_BUNDLE_SIZE)
+    # The first wanted ray of the bundle: copies of it do not widen the bundle's cone.
     other = jnp.argmax(asked, 1)[:, None]
     some, up = asked.any(1)[:, None], jnp.array([0.0, 0.0, 1.0])
 

@@ -77,6 +77,7 @@ def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
     settings = resolve_settings(CameraSettings, mount.all_options, owner)
     low, high = settings.camera_min_fov, settings.camera_max_fov
     if "camera_def_fov" not in {field_name(key) for key, _ in mount.options}:
+        # Only a default is moved: a field of view that the file states has to fit its limits.
         settings = replace(settings, camera_def_fov=max(low, min(high, settings.camera_def_fov)))
     if not 0 < low <= settings.camera_def_fov <= high < math.pi:
         raise SpecError(
@@ -111,6 +112,7 @@ def overload(robot: RobotSpec) -> str:
     A payload of 0 is unknown.
     """
     load = carried_weight(robot)
+    # Sums of weights such as 0.1 kg are off by roundings.
     if not robot.payload or load <= robot.payload + 1e-9:
         return ""
     items = len(robot.sensors) + len(robot.cameras) + len(robot.effecters)
@@ -159,8 +161,10 @@ def quantize(rgb: Array, noise: Array | None, seed: Array | int, slot: Array | i
     """
     bright = 255 * rgb
     if noise is not None:
+        # From the moment's seed alone: the same picture has the same noise on all backends.
         key = random.fold_in(random.fold_in(random.key(0), seed), slot)
         bright = xp.clip(bright + noise * random.normal(key, bright.shape), 0.0, 255.0)
+    # Not `round`, which rounds halves to even.
     return xp.floor(bright + 0.5).astype(xp.uint8)
 
 
@@ -228,6 +232,7 @@ def _distance_from_geom(kind: int, point: np.ndarray, size: np.ndarray) -> float
 def _distance_from_triangle(point: np.ndarray, size: np.ndarray) -> float:
     corners = np.array([(0.0, 0.0), (size[0], 0.0), (size[1], size[2])])
     edges, flat = np.roll(corners, -1, 0) - corners, point[:2] - corners
+    # Degenerate triangles have an edge of length 0.
     share = np.clip((flat * edges).sum(-1) / np.maximum((edges**2).sum(-1), 1e-12), 0.0, 1.0)
     beside = float(np.linalg.norm(flat - share[:, None] * edges, axis=-1).min())
     within = (edges[:, 0] * flat[:, 1] - edges[:, 1] * flat[:, 0] >= 0).all()
@@ -268,6 +273,7 @@ class Camera:
     def clamp(self, fov: Array, xp: ModuleType = np) -> Array:
         """Return the field of view for a request [rad] (...,): 0 is the default (manual 9.4)."""
         fov = xp.asarray(fov, xp.float32)
+        # NaN would pass `clip` and make every ray NaN.
         wanted = xp.where(xp.isnan(fov) | (fov == 0), self.default_fov, fov)
         return xp.clip(wanted, self.min_fov, self.max_fov).astype(xp.float32)
 
@@ -315,6 +321,7 @@ def _lens_offsets(where: str, settings: CameraSettings) -> np.ndarray:
             f"{where}: StereoSpacing is {settings.stereo_spacing}, expected X, Y and Z, not all 0"
         )
     right: Vec3 = tuple(float(axes.get(axis, 0.0)) for axis in "XYZ")  # type: ignore[assignment]
+    # The setting is half the offset: both lenses lie beside the mount.
     return np.array([flip_vector(tuple(-x for x in right)), flip_vector(right)], np.float32)  # type: ignore
 
 

@@ -91,6 +91,7 @@ def camera_owners(owner: Array, slot: Array, hidden_geoms: Array) -> Array:
     Geoms hidden from the camera (`Camera.hidden_geoms`) belong to the slot; all others have no owner.
     """
     piece = jnp.append(jnp.asarray(hidden_geoms), False)[
+        # Owners of others are clipped to the appended False.
         jnp.clip(owner - slot * MAX_ROBOT_GEOMS, 0, len(hidden_geoms))
     ]
     return jnp.where((owner // MAX_ROBOT_GEOMS == slot) & piece, slot, -1)
@@ -124,6 +125,7 @@ def labels_of(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
     }
 
     def label(name: str) -> int:
+        # 0 is the sky's label, which no geom has: `or` may take it for missing.
         return known.get(name) or next(
             (v for start, v in starts.items() if name.startswith(start)), ROBOT_LABEL
         )

@@ -30,6 +30,7 @@ View = tuple[Viewpoint, int, int]
 
 def capacity(count: int, spare: int = SPARE_GEOMS) -> int:
     """Return the capacity for `count` items: a power of two with some spare."""
+    # Powers of two, so that a growing world needs few programs.
     return 1 << (count + spare - 1).bit_length()
 
 
@@ -54,6 +55,7 @@ def pad_render_scene(render_scene: RenderScene, capacities: Capacities | None = 
         )
         mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], render_scene.appearance)
         padded = jax.tree.map(pad, block)
+        # Zeros would be a degenerate geom in the middle of the arena.
         padded.pos[count:], padded.mat[count:], padded.owner[count:] = PADDING_DISTANCE, np.eye(3), -1
         blocks.append(padded)
         appearances.append(jax.tree.map(pad, mine))
@@ -80,6 +82,7 @@ def _padded_headlights(headlights: Headlights, capacities: Capacities) -> Headli
 def _padded(values: Any, size: int) -> np.ndarray:  # noqa: ANN401 - an array
     """Pad an array with rows of zeros (False) to a size, single precision."""
     values = np.asarray(values)
+    # As JAX would convert them: other types would need a program of their own.
     single = {"f": np.float32, "i": np.int32, "u": values.dtype, "b": bool}[values.dtype.kind]
     out = np.zeros((size, *values.shape[1:]), single)
     out[: len(values)] = values
@@ -97,6 +100,7 @@ class PicturePrograms:
         self, render: Callable[[RenderScene, Viewpoint, int, int], Picture] = render_picture_jit
     ) -> None:
         self._render = render
+        # One thread: compilations would share the cores with the world that is served.
         self._compiler = ThreadPoolExecutor(1, thread_name_prefix="compiler")
         self._programs: dict[Hashable, Future[Any]] = {}
         self._room: Capacities = {}
@@ -117,6 +121,7 @@ class PicturePrograms:
             views: The pictures.
         """
         padded = pad_render_scene(render_scene, self._room)
+        # A list: on a generator `all` would stop at the first one, and compile the others later.
         if not all([self._is_ready(padded, view) for view in views]):
             return None
         return lambda: [jax.device_get(self._render(padded, *view)) for view in views]

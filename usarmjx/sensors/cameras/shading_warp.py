@@ -101,6 +101,7 @@ def _look_at(
     out.label = SKY
     out.share = 0.0
     met = hit.geom >= 0.0
+    # By the warp and not by the lane: shadow rays below use shuffles, for which all lanes must be there.
     if any_lane(met):
         slot = int(wp.max(hit.geom, 0.0))
         reach = wp.where(met, hit.distance, 0.0)
@@ -127,6 +128,7 @@ def _scene_of(  # noqa: PLR0913 - those of the kernels
     lamps: int,
     headlights: int,
 ) -> WarpScene:
+    # Solids and panes are padded to whole groups separately.
     groups = ((solids + 31) >> 5) + ((panes + 31) >> 5)
     scene = WarpScene()
     scene.geoms = geoms
@@ -305,6 +307,7 @@ def shade_mirrors_and_panes(  # noqa: PLR0913 - as above
             boxes = wide
             count = solids
             passed = NO_OWNER
+        # Panes are seen from the camera's one point; reflections start all over the mirror.
         cone = cone_about(ray.start, ray.along, stage == 2)
         hit = _hit_in(scene, base, boxes, count, cone, ray, passed)
         seen = _look_at(hit, scene, base, look, ray.start, ray.along, stage == 1)
@@ -340,6 +343,7 @@ def _groups(
     numbers = np.concatenate([part.info.first_index + np.arange(part.info.num_geoms) for part in some])
     ends = np.cumsum([part.info.num_geoms for part in some])
     placed = [
+        # Kernels index the packed geoms, whose order is not that of the scene.
         (part.info._replace(first_index=int(end) - part.info.num_geoms), part.block)
         for part, end in zip(some, ends, strict=True)
     ]

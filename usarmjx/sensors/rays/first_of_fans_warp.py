@@ -191,6 +191,7 @@ def _list_near_geoms(
     begin = wp.int32(0)
     while begin < count:
         slot = begin + column
+        # Lanes past the end read the last geom: a vote needs every lane of the warp.
         gap = _gap(geom_of(world, wp.min(slot, count - 1)), center, exclude)
         if width == 1:
             gaps[slot] = gap
@@ -199,6 +200,7 @@ def _list_near_geoms(
         begin += width
     listed = OwnList()
     end = wp.int32(0)
+    # Coarse shells instead of sorting: near geoms are tested first, and shorten the rays.
     for shell in range(3):
         low = wp.where(shell == 0, -1.0, wp.where(shell == 1, near.inner, near.middle))
         high = wp.where(shell == 0, near.inner, wp.where(shell == 1, near.middle, spread + reach))
@@ -225,6 +227,7 @@ def _list_near_geoms(
             near.middle_end = end
     near.own = listed
     near.end = end
+    # Each lane reads what others have listed.
     _wait_for_lanes()
     return near
 
@@ -250,6 +253,7 @@ def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
     row = wp.int32(0)
     while row < near.end:
         low = wp.where(row >= near.middle_end, near.middle, wp.where(row >= near.inner_end, near.inner, 0.0))
+        # Everything from here on is in shells farther than any hit that still matters.
         if wp.cast(wp.max(low - near.spread, 0.0), wp.uint32) > limit:
             row = near.end
         else:

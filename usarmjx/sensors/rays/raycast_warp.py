@@ -253,6 +253,7 @@ def cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
     if not same_start:
         cone.tip = share * wp.vec3(sum_of_lanes(start[0]), sum_of_lanes(start[1]), sum_of_lanes(start[2]))
         away = start - cone.tip
+        # The largest by the smallest of the negatives: one reduction serves both.
         cone.tip_radius = CONE_MARGIN + wp.sqrt(-least_of_lanes(-wp.dot(away, away)))
     axis = share * wp.vec3(sum_of_lanes(along[0]), sum_of_lanes(along[1]), sum_of_lanes(along[2]))
     cone.axis = axis / wp.sqrt(wp.max(wp.dot(axis, axis), TINY))
@@ -287,6 +288,7 @@ else:
 @wp.func
 def _key(near: float, owner: float, exclude: float, cone: WarpCone, slot: int, number: int) -> wp.uint32:
     """Return a key that sorts like the distance (`SLOT_BITS`); the last key for missing geoms."""
+    # Positive floats sort like their bits, so distance and slot are compared as one integer.
     bits = wp.cast(wp.where(cone.slope < 0.0, 0.0, near), wp.uint32) & ~SLOT_BITS
     return wp.where(slot >= number or owner == exclude, LAST_KEY, bits | wp.uint32(slot))
 
@@ -361,6 +363,7 @@ def nearest_geom(  # noqa: PLR0913 - a struct of them would do no more
     width = lanes()
     begin = wp.int32(0)
     while begin < count:
+        # A pass is of one kind of geoms, or lanes of a warp would take different branches.
         end = wp.where(begin < wide, wide, count)
         keys = Keys()
         if begin < wide:
@@ -425,6 +428,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     lane = t & 31
     cast = integer_quotient(t >> 5, bundles)
     begin = ((t >> 5) - cast * bundles) * bundle
+    # Surplus lanes repeat the last ray and write the same numbers: they neither diverge nor widen the cone.
     ray = wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
     best = WarpBest()
     best.distance = wp.inf
@@ -481,6 +485,7 @@ def cast_rays(  # noqa: PLR0913 - as above
     best.distance = wp.inf
     best.geom = -1.0
     along = direction[ray]
+    # Lanes without a ray stay, with no reach: the shuffles of a warp need all of its lanes.
     aimed = wp.length_sq(along) > 0.0
     if wanted[cast] > 0 and any_lane(aimed):
         world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
@@ -565,12 +570,14 @@ def pack(blocks: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
         (groups, 6, 32, 4); the last group is padded with zeros.
     """
     geoms = jnp.concatenate([_packed(info, block) for info, block in blocks], 1)
+    # Groups of 32: the lanes of a warp load the same row of neighbouring geoms at once.
     whole = jnp.pad(geoms, ((0, 0), (0, -geoms.shape[1] % 32), (0, 0)))  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
     return whole.reshape(6, -1, 32, 4).swapaxes(0, 1)
 
 
 def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
     none, size = np.zeros(info.num_geoms, np.float32), tuple(block.size.T)
+    # Owners, kinds and indices are whole numbers below 2**24, exact in float32.
     radius = bounding_radius(info.kind, size) if info.compact else none
     middle, half = bounding_box(info.kind, size)
     # A box about another point than the geom's position, as a triangle's, gives way to the sphere's.
@@ -603,6 +610,7 @@ def apart(
             break
         begin += info.num_geoms
     end = begin + sum(info.num_geoms for info, _ in parts[1])
+    # Kernels take no empty arrays.
     none = jnp.zeros((1, 6, 32, 4), jnp.float32)
     own, fixed = ((pack(part) if part else none)[None] for part in parts)
     return (own, fixed), (begin, end)

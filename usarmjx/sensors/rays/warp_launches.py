@@ -40,6 +40,7 @@ class _Launch(NamedTuple):
 
 def _bundle_of(size: int) -> int:
     """Return the size of equal bundles of which a few make a requested one."""
+    # 48 rays are two bundles of 24, not one of 32 and one that is half empty.
     return -(-size // -(-size // MAX_BUNDLE))
 
 
@@ -104,6 +105,7 @@ def nearest_of_bundles(
     if not work or not count:
         return jnp.full(count, jnp.inf), jnp.full(count, -1, jnp.int32)
     wide = sum(info.num_geoms for info, _ in work if not info.compact)
+    # What is fixed has no axis over worlds: one copy serves all of them.
     packed, fixed_slots = apart(work)
     geoms = sum(info.num_geoms for info, _ in work)
     numbers = wide, *fixed_slots, geoms, min(max_distance, UNLIMITED_DISTANCE)
@@ -120,6 +122,7 @@ def nearest_of_bundles(
         arrays = [*(x.reshape(-1, 4) for x in geoms), *world, exclude, wanted]
         arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans or rays of all casts on one axis
         threads = casts * launch.warps * MAX_BUNDLE
+        # Checked here: beyond it indices overflow in the kernel, silently.
         needed = max(threads, casts * count)
         if needed > MAX_THREADS:
             raise UsageError(
