@@ -292,7 +292,11 @@ class Rollout:
         ended = done & ~bad
         alive, survived = before.alive or (), after.final_alive or ()
         if decision.match is not None:
-            alive = survived = (decision.match.learns,)
+            learns = (decision.match.learns,)
+            alive, survived = (
+                tuple(a & b for a, b in zip(one, learns, strict=True)) if one else learns
+                for one in (alive, survived)
+            )
         step = Trajectory(
             obs=before.obs,
             privileged=before.privileged,
