@@ -40,6 +40,14 @@ Collected: TypeAlias = tuple[RolloutState, Trajectory, RolloutEnds, dict[str, ja
 """Worlds after a rollout, its steps, its ends, and sums over it for the log."""
 
 
+def _learners(alive: GroupArrays, decision: Decision) -> GroupArrays:
+    """Return the agents that are alive and, in a league, play for the policy; () if all do."""
+    if decision.match is None:
+        return alive
+    learns = (decision.match.learns,)
+    return tuple(a & b for a, b in zip(alive, learns, strict=True)) if alive else learns
+
+
 def _stack_steps(
     rows: list[tuple[Trajectory, dict[str, jax.Array]]],
 ) -> tuple[Trajectory, dict[str, jax.Array]]:
@@ -290,13 +298,7 @@ class Rollout:
         reward = tuple(jnp.where(bad[:, None], 0.0, one) for one in after.reward)
         episode_return = episode_return + self._team_reward(reward)
         ended = done & ~bad
-        alive, survived = before.alive or (), after.final_alive or ()
-        if decision.match is not None:
-            learns = (decision.match.learns,)
-            alive, survived = (
-                tuple(a & b for a, b in zip(one, learns, strict=True)) if one else learns
-                for one in (alive, survived)
-            )
+        alive, survived = (_learners(one or (), decision) for one in (before.alive, after.final_alive))
         step = Trajectory(
             obs=before.obs,
             privileged=before.privileged,
