@@ -57,6 +57,7 @@ class ServerMessage:
     def items(self) -> dict[str, dict[str, str]]:
         """Return name -> field -> text of a message with `{Name F1 Range 2.5} {Name F2 ...}`."""
         lists = [value.split() for value in self.values("Name")]
+        # zip without `strict`, here and below: Pythons before 3.10 do not know it.
         return {words[0]: dict(zip(words[1::2], words[2::2])) for words in lists if words}  # noqa: B905
 
     def ranges(self) -> dict[str, float]:
@@ -70,6 +71,7 @@ class ServerMessage:
 
     def pose(self) -> tuple[float, float, float]:
         """Return x, y [m] and yaw [rad] of an Odometry, INS or GroundTruth message."""
+        # Odometry has `Pose x,y,yaw`; the others Location and Orientation of three numbers each.
         pose = self.vector("Pose") or (*self.vector("Location")[:2], self.vector("Orientation")[2])
         return pose[0], pose[1], pose[2]
 
@@ -111,6 +113,7 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 def parse_line(line: str) -> ServerMessage:
     """Return the message of one line, such as `SEN {Type Odometry} {Name O} {Pose 0.1,0.0,0.0}`."""
+    # The value may hold spaces itself, so only the first one separates.
     pairs = (inside.strip().partition(" ") for inside in SEGMENT.findall(line))
     segments = tuple((key, value.strip()) for key, _, value in pairs)
     return ServerMessage(line.partition("{")[0].strip(), segments)
@@ -149,6 +152,7 @@ class UsarsimClient(ClientSocket):
         self._messages: deque[ServerMessage] = deque()  # received, not yet handed out
         try:
             self.greeting = self._wait_for("NFO", "the server's greeting")
+        # TimeoutError and ConnectionError are OSErrors: nobody could close a client that was never returned.
         except OSError:
             self.close()
             raise
@@ -161,12 +165,15 @@ class UsarsimClient(ClientSocket):
         """
         deadline = time.monotonic() + timeout
         while not self._messages:
+            # Not a timeout of the socket, which would hold for `sendall`, too.
             if not select.select([self._socket], [], [], max(0.0, deadline - time.monotonic()))[0]:
                 return None
             data = self._socket.recv(65536)
             if not data:
                 raise ConnectionError("the server has closed the connection")
+            # The piece after the last line end is kept: a line may arrive in two parts.
             *lines, self._bytes = (self._bytes + data).split(b"\n")
+            # Latin-1 reads any byte: a name in other letters must not end the connection.
             self._messages += [parse_line(line.decode("latin-1")) for line in lines if line.strip()]
         return self._messages.popleft()
 
@@ -186,6 +193,7 @@ class UsarsimClient(ClientSocket):
         """Return tag, location and rotation of the arena's start poses."""
         self.send("GETSTARTPOSES")
         answer = self._wait_for("NFO", "start poses")
+        # All poses stand in one pair of braces, `{tag x,y,z r,p,y tag ...}`, so its key is the first tag.
         words = " ".join(f"{key} {value}" for key, value in answer.segments[1:]).split()
         locations, rotations = ([_numbers(word) for word in words[i::3]] for i in (1, 2))
         return list(zip(words[::3], locations, rotations))  # noqa: B905
@@ -210,6 +218,7 @@ class UsarsimClient(ClientSocket):
         """
         self.send("INIT", ClassName=class_name, Name=name, Location=location, Rotation=rotation)
         status = self._wait_for("STA", f"a report of the new {class_name}")
+        # Whoever iterates wants the first status, too.
         self._messages.appendleft(status)
         return status
 
@@ -226,6 +235,7 @@ class UsarsimClient(ClientSocket):
         """Set a camera's field of view [rad], 0 for its default, and return the new one."""
         self.send("SET", Type="Camera", Name=camera, FOV=fov)
         answer = self._wait_for("RES", "an answer to SET")
+        # The answer names all cameras, in pairs of Name and FOV.
         fovs = dict(zip(answer.values("Name"), answer.values("FOV")))  # noqa: B905
         return float(fovs[camera])
 
@@ -250,6 +260,7 @@ class UsarsimClient(ClientSocket):
 
     def _ask(self, kind: str, type_name: str, name: str) -> ServerMessage:
         self.send(kind, Type=type_name, **({"Name": name} if name else {}))
+        # GETGEO is answered by GEO, GETCONF by CONF.
         return self._wait_for(kind[3:], f"{kind} {type_name}")
 
     def _wait_for(self, kind: str, what: str) -> ServerMessage:
@@ -296,6 +307,7 @@ class CameraClient(ClientSocket):
         self, host: str = "127.0.0.1", port: int = 5003, timeout: float = 60.0, token: str | None = None
     ) -> None:
         self._socket = connect(host, port, timeout, token)
+        # The server sees this end as address:port, by which SET chooses among several image clients.
         self.name = "{}:{}".format(*self._socket.getsockname()[:2])
         self._first = True
 
@@ -305,6 +317,7 @@ class CameraClient(ClientSocket):
         if not self._first:
             self._socket.sendall(b"OK")
         self._first = False
+        # In network byte order: one byte of the kind, 0 raw and else JPEG, and four of the size.
         kind, size = struct.unpack(">BI", self._exactly(5))
         data = self._exactly(size)
         if kind:

@@ -40,6 +40,7 @@ class RadioLink(ClientSocket):
 
     def send(self, data: bytes) -> None:
         """Send bytes. Without a signal they are lost silently; then the link closes."""
+        # The semicolon ends a message of dialect A but is not counted in its length.
         self._socket.sendall(b"SEND %d %b;" % (len(data), data) if self._framed else data)
 
     def receive(self, timeout: float) -> bytes | None:
@@ -48,6 +49,7 @@ class RadioLink(ClientSocket):
             return None
         try:
             return self._socket.recv(65536)
+        # A lost signal may reset the connection: to the caller an end like any other.
         except ConnectionError:
             return b""
 
@@ -79,12 +81,14 @@ class _Control(ClientSocket):
     def __init__(self, host: str, port: int, timeout: float, token: str | None) -> None:
         self.host, self.timeout = host, timeout
         self._socket = connect(host, port, timeout, token, self.auth)
+        # This end of the connection to the server: the address at which the server can reach the door.
         self.address = self._socket.getsockname()[0]
         self._bytes = b""
 
     def ask(self, text: str) -> str:
         """Send a request and return the answer, both without their ends."""
         self._socket.sendall(text.encode("latin-1") + self.end)
+        # An answer may come in pieces, or together with the next one.
         while self.end not in self._bytes:
             data = self._socket.recv(4096)
             if not data:
@@ -136,6 +140,7 @@ class WirelessA(_Control):
 
     def connect(self, robot: str, other: str, port: int) -> RadioLink:
         """Link a robot to another one that listens on a port."""
+        # The server calls back: its link comes to a door of this robot's own, needed for one call only.
         with RadioDoor(True, host=self.address) as door:
             self.order(f"OPEN {robot} {door.port} {other} {port}")
             return door.accept(self.timeout)

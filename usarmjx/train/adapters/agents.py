@@ -110,6 +110,7 @@ def with_held(before: "EnvState", after: "EnvState", held: Array) -> "EnvState":
         shape = np.shape(new)
         if new is old or shape[:1] != np.shape(held):
             return new  # what all worlds share
+        # Kind kept: a NumPy engine's state must not become JAX's within one step.
         xp: Any = np if isinstance(new, np.ndarray) else jnp
         return xp.where(held.reshape(-1, *[1] * (len(shape) - 1)), old, new)
 
@@ -216,6 +217,7 @@ class ActionGrid:
         numbers = xp.asarray(choices)
         if not xp.issubdtype(numbers.dtype, xp.integer):
             raise UsageError(f"discrete actions of type {numbers.dtype}, expected whole numbers")
+        # Under jit the values are unknown, so nothing can be refused.
         if xp is not np:
             return xp.asarray(self.points)[xp.clip(numbers, 0, self.choices - 1)]
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < self.choices:
@@ -268,6 +270,7 @@ def check_render_mode(mode: str | None) -> None:
 def overhead_viewpoint(arena: ArenaSpec) -> Viewpoint:
     """Return a viewpoint above an arena that sees its whole extent; x of the arena points to the right."""
     (x0, x1), (y0, y1) = arena.extent
+    # At least 1 m: an arena without extent would give a camera at the floor.
     wide = max(x1 - x0, (y1 - y0) * WIDTH / HEIGHT, 1.0)
     height = arena.floor + MARGIN * wide / (2 * math.tan(FOV / 2))
     pos = np.array([(x0 + x1) / 2, (y0 + y1) / 2, height], np.float32)

@@ -49,6 +49,7 @@ def id_of(task: str) -> str:
     found = [(one, VERSION.fullmatch(name)) for name, one in TASKS]
     versions = {int(match[2]): one for one, match in found if match and match[1] == task}
     same = [number for number, one in versions.items() if one is TASKS.get(task)]
+    # The id of the version that is the same task; one that differs from all of them gets the next number.
     return f"{NAMESPACE}/{task}-v{same[0] if same else max(versions, default=0) + 1}"
 
 
@@ -136,6 +137,7 @@ class TeamWorld(gymnasium.Env[np.ndarray, Any]):
             raise UsageError(f"{self.worlds.env.name}: the episode is over; call reset")
         obs, reward, ended, late, infos = self.worlds.step(np.asarray(action)[None])
         self._over = bool(ended[0] or late[0])
+        # The score of a finished episode stands in `final_info` only.
         told = {**infos, **infos["final_info"]} if self._over else infos
         info = {name: told[name][0] for name in told if not name.startswith(("_", "final_"))}
         return obs[0], float(reward[0]), bool(ended[0]), bool(late[0]), info
@@ -203,14 +205,17 @@ def make_worlds(
     """
     from usarmjx.train.make import make, make_task
 
+    # Out of the fields, which all go to the task.
     render_mode, max_episode_steps = (fields.pop(name, None) for name in ("render_mode", "max_episode_steps"))
     check_render_mode(render_mode)
     given = {name: fields.pop(name) for name in ("actions", "bins") if name in fields}
     if max_episode_steps is not None:
         if "episode_steps" in fields:
             raise UsageError("max_episode_steps and episode_steps are the same limit, expected one of them")
+        # Gymnasium's limit truncates; the task's own may count as its end.
         fields |= {"episode_steps": max_episode_steps, "time_limit": "truncation"}
     chosen = make_task(task, **fields)
+    # Scripted robots are no agents, so they are no environments either.
     idle = {name.lower() for name in chosen.scripted}
     share = sum(spec_of(robot).name.lower() not in idle for robot in chosen.robots) if robots == "each" else 1
     if num_envs % share:
@@ -327,12 +332,14 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if options and "reset_mask" in options:
             raise UsageError("reset_mask is for AutoresetMode.DISABLED; these worlds restart by themselves")
         check_no_options(options)
+        # Gymnasium: reset without a seed goes on with the generator that an earlier seed made.
         if seed is None and self._np_random is None:
             seed = self._seed
         super().reset(seed=seed)
         chosen = draw_seed(self.np_random) if seed is None else seed
         self._state = self.env.reset(chosen)
         self._over[:] = False
+        # One transfer for all but the task's memory, which nothing here reads.
         s = jax.device_get(self._state.task_state.replace(memory=()))
         return self._rows(s.obs), self._alive(s, np.zeros(self.num_envs, bool))
 
@@ -356,9 +363,11 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise UsageError(f"{self.env.name}: call reset first")
         before, held = self._state, self._over
         self._state = self._step(before, self._groups(np.asarray(actions)))
+        # Worlds of NEXT_STEP that were over stepped with the rest; they are put back, and only then.
         if held.any():
             self._state = self._hold(before, self._state, held)
         s = jax.device_get(self._state.task_state.replace(memory=()))
+        # A fault says nothing about the task, so it cuts off: learners then go on with the expected return.
         done, late = s.done & ~held, (s.truncated | s.bad) & ~held
         reward = s.reward[0].reshape(-1) if self._each else np.concatenate(s.reward, -1).mean(-1)
         if self._next_step:
@@ -443,6 +452,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         infos = _masked({"score": score, "bad": bad}, np.ones_like(done)) | _faults(bad)
         infos |= _masked(metrics, ~done) | self._alive(s, done)
         if done.any():
+            # Gymnasium's form: an array of objects, None for those that go on.
             ends = np.full(self.num_envs, None, object)
             final = self._rows(s.final_obs)
             for i in np.flatnonzero(done):
@@ -466,6 +476,7 @@ class _LastingWorlds(VectorWorlds):
 
     def __init__(self, env: "Env", **settings: Any) -> None:  # noqa: ANN401 - those of `VectorWorlds`
         super().__init__(env, **settings)
+        # `advance` does not reset worlds, so the end of the episode stays to be seen.
         self._step = jax.jit(env.advance) if env.traceable else env.advance
         self._restart = jax.jit(env.restart) if env.traceable else env.restart
 

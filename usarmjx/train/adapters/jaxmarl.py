@@ -86,6 +86,7 @@ class MultiAgentWorld(MultiAgentEnv):
     @partial(jax.jit, static_argnums=0)
     def reset(self, key: jax.Array) -> "tuple[Values, EnvState]":
         """Return observations (obs_size,) by agent, and the state, of a new world."""
+        # The environment is seeded by a number; a key is turned into one, as it may be traced here.
         state = self.env.reset(jax.random.randint(key, (), 0, MAX_SEED))  # type: ignore - a traced seed
         return self.get_obs(state), state
 
@@ -97,6 +98,7 @@ class MultiAgentWorld(MultiAgentEnv):
         state = self.env.step(state, stack_actions(self.env, actions, jnp, grids=self._grids))
         done = state.done[0]
         dones = {**dict.fromkeys(self.agents, done), "__all__": done}
+        # Those before the reset: after it everybody is alive again.
         if state.final_alive is not None:
             dones |= {name: done | ~one for name, one in by_agent(self.env, state.final_alive).items()}
         score = jnp.where(state.done, state.final_score, state.score)
@@ -113,6 +115,7 @@ class MultiAgentWorld(MultiAgentEnv):
         reset_state: "EnvState | None" = None,
     ) -> "tuple[Values, EnvState, Values, Values, dict[str, Any]]":
         """Let all robots act; after an episode's end go on at the next one's start, or at `reset_state`."""
+        # The base class would reset by `reset`, whose whole new world costs far more at every step.
         _, state, rewards, dones, infos = self.step_env(key, state, actions)
         if reset_state is not None:
             state = jax.tree.map(partial(jnp.where, dones["__all__"]), reset_state, state)

@@ -110,6 +110,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
             self._generator = np.random.default_rng(seed)
         elif self._state is None:
             seed = self._seed
+        # In the middle of an episode; after its end the step has begun the next one already.
         elif self.agents:
             seed = draw_seed(self._generator)
         if seed is not None:
@@ -149,6 +150,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         info |= {"score": float((s.final_score if done else s.score)[0]), "bad": bad}
         info |= {"fault": True} if bad else {}
         left = alive_names(self.env, s.final_alive)
+        # PettingZoo wants the last step of those who leave, and a first one of those who join.
         agents = [*self.agents, *(name for name in left if name not in self.agents)]
         rewards = by_agent(self.env, s.reward)
         self.agents = [] if done else left
@@ -162,6 +164,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
 
     def state(self) -> np.ndarray:
         """Return what only critics may know (privileged_size,)."""
+        # After the end the state is that of the next start; `final_privileged` is the end's.
         done = not self.agents
         now = self._running
         return np.array((now.final_privileged if done else now.privileged)[0])

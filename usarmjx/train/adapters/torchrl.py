@@ -62,12 +62,14 @@ class TorchWorlds(EnvBase):
         joint_state: bool = False,
     ) -> None:
         grids = action_grids(env.groups, actions, bins)
+        # Before the base class, which needs the device: where arrays are is known from a state only.
         start = env.reset(seed)
         arrays_at = torch.from_dlpack(start.reward[0]).device
         placed = arrays_at if device is None else device
         super().__init__(device=placed, batch_size=[env.worlds])  # pyright: ignore[reportUnknownMemberType]
         self.env, self._arrays_at, self._grids = env, arrays_at, grids
         self._joint_state = joint_state
+        # A copy: on the CPU the tensor would share the memory of the grid's cached points.
         self._points = [torch.from_numpy(grid.points.copy()).to(arrays_at) for grid in grids or ()]
         self._start: EnvState | None = start
         self._state = start
@@ -118,6 +120,7 @@ class TorchWorlds(EnvBase):
 
     def _tensor(self, array: Array) -> Any:  # noqa: ANN401
         """Return an array as a tensor."""
+        # DLPack shares memory between JAX and PyTorch: no copy on the same device.
         return torch.from_dlpack(array).to(self.device)
 
     def _critics_state(self) -> Array:
@@ -148,6 +151,7 @@ class TorchWorlds(EnvBase):
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is None or bool(mask.all()):
             where = np.ones(self.env.worlds, bool)
+            # The state made for the specs, or by a new seed, is a first episode that nobody has played.
             if self._start is not None:
                 self._state, self._start = self._start, None
             else:
@@ -156,6 +160,7 @@ class TorchWorlds(EnvBase):
             where = mask.reshape(-1).cpu().numpy()
             self._state = self.env.restart(self._state, where)
         seen = self._seen()
+        # A reset of some worlds returns all; the others keep their ends.
         others = torch.from_numpy(~where).to(self.device)[:, None]
         for name, value in self._ends().items():
             seen[name] = value & others
@@ -182,6 +187,7 @@ class TorchWorlds(EnvBase):
 
     def _array(self, action: Any, g: int) -> Array:  # noqa: ANN401
         """Return a group's actions as an array (worlds, robots, action_size)."""
+        # DLPack refuses tensors that need a gradient, and JAX wants contiguous ones of 32 bits.
         values = action.detach().to(self._arrays_at)
         if self._grids is not None:
             choices = self._grids[g].choices

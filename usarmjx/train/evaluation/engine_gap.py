@@ -64,6 +64,7 @@ def sources_of(named: Sequence[str]) -> Iterator[Tried]:
         if name in POLICIES:
             yield f"{name}, packaged policy", (load_policy(name),)
         yield f"{name}, baseline", (baseline(name),)
+    # Runs last: those of one row may be named far apart.
     for (task, how), found in runs.items():
         yield f"{task}, {how}{f', {len(found)} runs' if len(found) > 1 else ''}", tuple(found)
 
@@ -155,6 +156,7 @@ class DriveTrace:
     @property
     def contacts_per_minute(self) -> float:
         """Number of times that a robot began to touch something."""
+        # Beginnings, not looks: leaning on a wall for a minute is one contact.
         begun = self.touching[1:] & ~self.touching[:-1]
         return float(begun.sum() / begun.size * 60.0 / self.period)
 
@@ -162,6 +164,7 @@ class DriveTrace:
     def slip(self) -> np.ndarray:
         """Distance of odometry from the true motion since the start [m] (looks, robots)."""
         way = self.pose[..., :2] - self.pose[0, :, :2]
+        # Odometry starts at 0 in the robot's own axes, so the true way is turned into these.
         c, s = np.cos(self.pose[0, :, 2]), np.sin(self.pose[0, :, 2])
         own = np.stack([c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]], -1)
         return np.linalg.norm(own - self.odometry[..., :2], axis=-1)
@@ -200,6 +203,7 @@ def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
     floor = open_floor()
     if name == "floor":
         return floor
+    # So high that random commands for the whole drive reach no ground.
     starts = tuple(replace(start, at=(*start.at[:2], HIGH_UP)) for start in floor.starts)
     far = 10 * HIGH_UP
     water = Water(low=(-far, -far, 0.0), high=(far, far, HIGH_UP + DEEP_DOWN))
@@ -209,6 +213,7 @@ def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
 def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.ndarray) -> DriveTrace:
     """Return the samples of robots under commands (steps, robots, keys), one robot in each world."""
     ranging = first_kind(robot, RANGE_KINDS)
+    # Other sensors only cost time, and an empty battery would end the drive.
     kept = tuple(one for one in robot.sensors if one.kind in (ranging, "Odometry"))
     scene = build_scene(arena, [replace(robot, sensors=kept, cameras=(), battery_life=1e6)])
     batch = build_calibrated(lambda: Batch(scene, worlds=orders.shape[1], engine=engine, shuffle=True))
@@ -216,6 +221,7 @@ def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.nda
     meets = jax.jit(jax.vmap(partial(_touches, scene)))
     state, looks = batch.reset(), list[tuple[np.ndarray, ...]]()
     for number, order in enumerate(orders):
+        # A command holds until the next; `drive` at every step would cost a transfer each.
         if not number or (order != orders[number - 1]).any():
             keys = enumerate(robot.drive.keys)
             state = batch.drive(state, 0, {key: order[:, None, i] for i, key in keys})
@@ -273,6 +279,7 @@ def drive_gap(
     orders = random_commands(robot, robots, round(HORIZONS[-1] / 0.02) + 1, seed)
     real, other = (drive_around(robot, arena, engine, orders) for engine in engines)
     apart = real.distance(other, in_space=robot.drive.applies_wrench)
+    # Rounding of times to looks may end one behind the last.
     looks = [min(round(horizon / real.period), len(apart) - 1) for horizon in HORIZONS]
     cells = [f"{np.median(apart[look]):.2f} m" for look in looks]
     cells.append(" / ".join(_ranges_apart(real, other, look) for look in looks))

@@ -113,20 +113,24 @@ def play_episodes(
     while (ended < each).any():
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         before, state = getattr(state, "alive", None), env.step(state, actions)
+        # A robot that joins must not go on with the memory of the one before it in its row.
         carry = carry_of_alive(carry, before, getattr(state, "alive", None))
         step, length = step + 1, length + 1
         tell(f"seed {seed}: {np.minimum(ended, each).sum()} of {each * env.worlds} episodes, step {step}")
         done = np.asarray(state.done)
         if not done.any():
             continue
+        # New episodes begin without memory, as in training.
         carry = jax.tree.map(partial(select_worlds, state.done), begin, carry)
         counts, wrong = done & (ended < each), np.asarray(state.bad)
         here = np.flatnonzero(counts & ~wrong)
+        # Negative numbers, each once: without a library every episode is a building of its own.
         where = -1 - np.arange(len(rows), len(rows) + len(here)) if serials is None else serials[here]
         rows += zip(np.asarray(state.final_score)[here], length[here], here, ended[here], where, strict=True)
         serials = _serials(state)  # of the episodes that have begun
         bad += int((counts & wrong).sum())
         ended, length = ended + done, np.where(done, 0, length)
+    # The shape for no rows at all: every episode may have failed.
     scores, lengths, worlds, index, places = np.array(rows, float).reshape(-1, 5).T
     counts = {"lengths": lengths, "worlds": worlds, "episode_index": index, "buildings": places}
     found = {name: column.astype(int) for name, column in counts.items()}
@@ -208,6 +212,7 @@ def _score_of(runs: Sequence[Episodes], policies: Sequence[int] | None = None) -
     for number, run in enumerate(runs):
         for episode in range(len(run.scores)):
             building = -1 if run.buildings is None else run.buildings[episode]
+            # As text, since numbers and pairs must not compare.
             places.append(repr((number, episode) if building < 0 else building))
             strata.append(repr((of_run[number], 0 if run.levels is None else run.levels[episode])))
     return estimate_groups(scores, places, strata, shares=True)
@@ -230,6 +235,7 @@ def as_record(found: Evaluation) -> dict[str, Any]:
 def _rows(run: Episodes) -> list[dict[str, Any]]:
     columns = {"world": run.worlds, "episode": run.episode_index, "score": run.scores, "steps": run.lengths}
     if run.buildings is not None:
+        # The negative numbers tell nothing: they only kept episodes apart.
         columns["building"] = np.maximum(run.buildings, -1)
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [{"seed": run.seed, **dict(zip(columns, row, strict=True))} for row in values]

@@ -82,6 +82,7 @@ def alone(task: TeamTask) -> TeamTask:
     if isinstance(task, VictimSearch):
         return replace(task, wheeled=task.wheeled[:1], tracked=(), flying=())
     if isinstance(task, GoalTeam):
+        # Before the count: a task refuses a least number above it.
         task = replace(task, least_robots=0)
     return replace(task, count=1)
 
@@ -144,6 +145,7 @@ def knowing(task: TeamTask) -> TeamTask:
 
 def with_training_view(source: PolicySource, task: TeamTask) -> TeamTask:
     """Return a task that shows what a policy saw in training: the planner's advice, a picture of maps."""
+    # Only what it sees: its arena and robots are the task's, or teams would not be compared.
     shown = {name: text for name, text in source.overrides.items() if name in VIEWS and hasattr(task, name)}
     overrides, _ = task_settings(source.task, shown, ()) if shown else ({}, [])
     changes = {name: value for name, value in overrides.items() if getattr(task, name) != value}
@@ -251,6 +253,7 @@ class TeamResult:
     def reached(self) -> tuple[float, ...]:
         """Share of the points for finds after each of `QUARTERS` of the time."""
         at = [round(share * len(self.finds)) - 1 for share in QUARTERS]
+        # A team without finds: 0 of nothing.
         return tuple(self.finds[k] / max(self.finds[-1], 1e-9) for k in at)
 
 
@@ -278,6 +281,7 @@ def play_team(
         carry, actions = act(carry, state.obs, jax.random.fold_in(random.key(seed), step))
         state = env.step(state, actions)
         good &= ~np.asarray(state.bad)
+        # Kept of the last step: there all episodes end together, see `check_whole`.
         score = np.asarray(state.final_score)
         rows.append({key: np.asarray(value, float) for key, value in state.metrics.items()})
     series = {key: np.stack([row[key] for row in rows])[:, good] for key in rows[0]}
@@ -296,6 +300,7 @@ def team_result(
     if not len(scores):
         raise UsageError(f"{name}: no episode ended well")
     parts = task.score_parts(series)
+    # Penalties are parts, too, with at most 0 points.
     finds = sum(value.mean(-1) for part, value in parts.items() if task.most_points[part] > 0)
     return TeamResult(
         name=name,
@@ -337,6 +342,7 @@ def arenas_to_play(name: str, worlds: int | None, split: str, **overrides: objec
     arenas = arenas_of(name, overrides, split)
     there = arenas.total
     chosen, seeds = np.arange(min(worlds or there, there)), arenas.seeds().tolist()
+    # Evenly over the numbers: a library holds its arenas by level and size in a row.
     numbers = (chosen * there // len(chosen)).tolist()
     return tuple(arenas.arena(number, seeds[number]) for number in numbers)
 
@@ -399,6 +405,7 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     envs: dict[TeamTask, Env] = {}  # each is compiled once
     ready: list[tuple[str, TeamTask, Policy]] = []
     chosen = default_teams(name) if teams is None else map(team_name, teams)
+    # All are found before any world is built, which takes long: a wrong name fails at once.
     named = {team: find_team(team) for team in chosen}
     for team, (change, driver) in named.items():
         own = task if not named_team(team) and "advice" in overrides else change(task)
@@ -411,6 +418,7 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
                 raise
             warn(f"{team} is left out: {error}")
     rows: list[TeamResult] = []
+    # Only now, as all are ready: a policy that does not fit fails before the first one has played.
     for team, own, policy in ready:
         if note := training_note(team, own, name):
             warn(note)
@@ -440,6 +448,7 @@ def shares(rows: Sequence[TeamResult]) -> str:
     named = {row.name: np.array(row.by_world) for row in rows}
     if not {"random", "oracle"} <= named.keys():
         return ""
+    # Of the same buildings for all, or a team's lost one would move its share.
     good = np.isfinite(np.stack([*named.values()])).all(0)
     low, high = (named[name][good].mean() for name in ("random", "oracle"))
     found = {name: (one[good].mean() - low) / max(high - low, 1e-9) for name, one in named.items()}

@@ -57,6 +57,7 @@ class _Graph:
 
     def result(self, name: str, width: int, value: str) -> None:
         """Return a value from the model under a name."""
+        # Outputs need names of their own, which `add` does not give.
         self.nodes.append(helper.make_node("Identity", [value], [name]))
         self.outputs.append((name, width))
 
@@ -103,6 +104,7 @@ class _GraphOperations:
         return self.graph.add("Concat", *parts, axis=axis)
 
     def halved(self, x: str, layer: Weights) -> str:
+        # ONNX convolves with channels first, Flax with channels last.
         first = self.graph.add("Transpose", x, perm=[0, 3, 1, 2])
         kernel = self.graph.constant(np.transpose(layer["kernel"], (3, 2, 0, 1)))
         found = self.graph.add(
@@ -139,6 +141,7 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
     name, width = group["name"], group["obs_size"]
     seen, mean = f"{name}.obs", graph.constant(policy.mean[index])
     graph.inputs.append((seen, width))
+    # ONNX has no test for finite numbers.
     lost = graph.add("Or", graph.add("IsNaN", seen), graph.add("IsInf", seen))
     x = graph.add("Sub", graph.add("Where", lost, mean, seen), mean)
     x = graph.add("Div", x, graph.constant(policy.std[index]))
@@ -151,6 +154,7 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
         x = _add_memory(graph, weights, x, f"{name}.carry")
         graph.result(f"{name}.next_carry", policy.memory, x)
     if group.get("discrete"):
+        # Of the raw observations, as in `policy_file._choice`.
         there = graph.add("Greater", _last(graph, seen, width, group["action_size"]), graph.constant(0.5))
         if layout is None:
             x = graph.dense(weights["head"], x)
@@ -186,6 +190,7 @@ def write_onnx(policy: "NumpyPolicy", file: Path) -> None:
     model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
     about = {"task": policy.task, "period": policy.period, "groups": policy.groups, "memory": policy.memory}
     helper.set_model_props(model, {"about": json.dumps(about)})
+    # Before the file is replaced: a model that does not load is no use to anyone.
     checker.check_model(model)  # pyright: ignore[reportUnknownMemberType]
     with atomic_write(file) as fresh:
         fresh.write_bytes(model.SerializeToString())

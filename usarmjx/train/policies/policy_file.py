@@ -58,6 +58,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
         about = parse_json(str(found.pop(ABOUT)), f"{file} is no policy of usarmjx: {ABOUT}", UsageError)
         if is_mapping(about) and isinstance(task := about.get("task"), str):
             about = {**about, "task": recorded_name(task)}
+        # Weights may be kept in 16 bits; all arithmetic is in 32.
         return about, {name: array.astype(np.float32) for name, array in found.items()}
     except UsageError:
         raise
@@ -85,6 +86,7 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
     _check_texts("overrides", [*about["overrides"], *about["overrides"].values()])
     for group in about["groups"]:
         _check("group", group, dict, group)
+        # Exactly these: `load_exported` passes them to AgentGroup as they are.
         if group.keys() - {"discrete", "layout"} != {"name", "agents", "obs_size", "action_size"}:
             raise ValueError(
                 f"a group has {', '.join(sorted(group))[:100]}, expected name, agents, obs_size, action_size"
@@ -112,12 +114,14 @@ def _check_layout(about: Mapping[str, Any], group: Mapping[str, Any]) -> None:
 
 def _check(key: str, held: Mapping[str, Any], kind: Any, value: Any = None) -> None:  # noqa: ANN401
     found = held[key] if value is None else value
+    # A bool is an int in Python.
     if not isinstance(found, kind) or isinstance(found, bool):
         raise ValueError(f"its {key} is a {type(found).__name__}")
 
 
 def _check_whole(key: str, held: Mapping[str, Any]) -> None:
     _check(key, held, int)
+    # The upper limit keeps a forged size from asking for memory without end.
     if not 0 <= held[key] <= MOST_BYTES:
         raise ValueError(f"its {key} is {held[key]}")
 
@@ -169,6 +173,7 @@ def _layer_shapes(
         wanted |= {"gates/kernel": (width, 3 * memory), "gates/bias": (3 * memory,)}
         wanted |= {"recurrent": (memory, 3 * memory), "recurrent_bias": (memory,)}
         width = memory
+    # A continuous head returns a mean and a deviation for each action.
     out = group["action_size"] * (1 if group.get("discrete") else 2)
     return {**wanted, "head/kernel": (width, out), "head/bias": (out,)}
 
@@ -204,6 +209,8 @@ def forward(weights: ParamTree, layers: int, x: Vector, carry: Vector) -> tuple[
         reset, update, new = np.split(_dense(weights["gates"], x), 3, axis=-1)
         own_reset, own_update, own_new = np.split(carry @ weights["recurrent"], 3, axis=-1)
         update = _sigmoid(update + own_update)
+        # The reset gate acts after the product, with a bias inside: the GRU of Flax and cuDNN, not of the
+        # paper.
         new = np.tanh(new + _sigmoid(reset + own_reset) * (own_new + weights["recurrent_bias"]))
         x = carry = (1.0 - update) * new + update * carry
     return _dense(weights["head"], x), carry
@@ -235,6 +242,7 @@ class NumpyPolicy:
     def __init__(self, file: str | Path) -> None:
         about, arrays = read_arrays(Path(file))
         try:
+            # First: another version's facts would look like faults.
             if about["format"] != FORMAT:
                 raise UsageError(f"{file} was written by another version of usarmjx")
             check_about(about)
@@ -292,6 +300,7 @@ class NumpyPolicy:
         obs, mean, std = np.asarray(obs, np.float32), self.mean[group], self.std[group]
         if obs.shape[-1:] != mean.shape:
             raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
+        # What is not finite counts as the mean, 0 after normalisation, as in training.
         seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED)
         if (layout := self.layouts[group]) is None:
             logits, carry = forward(self.weights[group], self.layers, seen, carry)
@@ -301,6 +310,7 @@ class NumpyPolicy:
             return _choice(logits, obs, draw), carry
         loc, scale = np.split(logits, 2, axis=-1)
         if draw is not None:
+            # Softplus without an overflow.
             deviation = np.logaddexp(scale, 0.0) + MIN_STD
             loc = loc + deviation * draw.standard_normal(loc.shape, np.float32)
         return np.tanh(loc), carry
@@ -308,6 +318,7 @@ class NumpyPolicy:
 
 def _choice(logits: Vector, obs: Vector, draw: np.random.Generator | None) -> Vector:
     """Return 1 at the choice and 0 elsewhere (..., choices), of those that observations say are there."""
+    # Raw observations: normalised ones are no longer 0 and 1.
     there = obs[..., -logits.shape[-1] :] > 0.5
     if draw is not None:  # the greatest of these is a sample (Gumbel's)
         logits = logits + draw.gumbel(size=logits.shape)
@@ -369,6 +380,7 @@ def save_policy(
     }
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     for g in range(len(policy.groups)):
+        # The file has what divides, so that readers need not know how it comes from the statistics.
         scale = policy.scale(g, params.mean[g], params.std[g])
         arrays[f"mean/{g}"], arrays[f"std/{g}"] = map(np.asarray, scale)
         arrays |= _flat(params.weights[g]["params"], f"weights/{g}/")
@@ -429,6 +441,7 @@ def write_folder(file: Path, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WriteError(f"cannot write {folder}: {error.strerror}") from error
+    # Read before any file of the folder is written: what is no policy leaves none there.
     about, arrays = read_arrays(file)
     with atomic_write(folder / WEIGHTS) as fresh:
         fresh.write_bytes(file.read_bytes())

@@ -110,6 +110,7 @@ def set_outputs(ops: Operations, weights: Weights, layers: int, layout: Observat
         own = ops.plus(own, _dense(ops, weights["view"], _view(ops, weights, layout, x)))
     width = weights["own"]["kernel"].shape[1]
     others, choices = (ops.shape(_part(ops, x, span), 1, span[1:]) for span in layout.sets)
+    # Gathered while the graph is built: the kinds of the choices are the layout's, not the observation's.
     kinds = ops.constant(weights["kinds"][np.array(layout.kinds)])
     rows = [
         ops.shape(own, 1, (1, width)),
@@ -122,6 +123,7 @@ def set_outputs(ops: Operations, weights: Weights, layers: int, layout: Observat
         tokens = ops.elu(
             ops.plus(_dense(ops, weights[f"layer_{i}"], tokens), _gathered(ops, weights, i, tokens, hidden))
         )
+    # Tokens are the robot itself, the others, and the choices; only the last are rated.
     first = 1 + layout.others[0]
     chosen = ops.slice(tokens, -2, first, layout.tokens)
     return ops.shape(_dense(ops, weights["head"], chosen), 2, (layout.choices[0],))
@@ -131,6 +133,7 @@ def _hidden(ops: Operations, layout: ObservationLayout, x: Any, others: Any) -> 
     """Return the addend of attention scores for each token (rows, 1, tokens): 0, or `MASKED`."""
     mask = _part(ops, x, layout.mask_span)
     there = ops.shape(ops.slice(others, -1, 0, 1), 2, (layout.others[0],))
+    # By a product with 0, as a graph knows the number of rows only when it runs.
     own = ops.product(ops.slice(mask, -1, 0, 1), ops.constant([[0.0]]))  # never hidden
     return ops.shape(ops.joined([own, ops.hidden(there), ops.hidden(mask)], -1), 1, (1, layout.tokens))
 
@@ -140,6 +143,7 @@ def _gathered(ops: Operations, weights: Weights, i: int, x: Any, hidden: Any) ->
     width = weights[f"query_{i}"]["kernel"].shape[1]
     heads = heads_of(width)
     each, found = width // heads, list[Any]()
+    # The square root as a matrix: `Operations` has no product of numbers.
     scale = ops.constant(np.eye(each) / math.sqrt(each))
     for head in range(heads):
         q, k, v = (ops.slice(one, -1, head * each, (head + 1) * each) for one in (query, key, value))
@@ -152,9 +156,11 @@ def _gathered(ops: Operations, weights: Weights, i: int, x: Any, hidden: Any) ->
 def _view(ops: Operations, weights: Weights, layout: ObservationLayout, x: Any) -> Any:  # noqa: ANN401
     levels, width, channels = layout.picture
     picture = ops.shape(_part(ops, x, layout.picture_span), 1, (levels, width, width, channels))
+    # Levels become channels: the convolution sees all zooms of one place at once.
     picture = ops.shape(ops.channels_last(picture), 4, (width, width, levels * channels))
     for i in range(len(FILTERS)):
         picture = ops.elu(ops.halved(picture, weights[f"conv_{i}"]))
+        # Size after a stride of 2 with a border of 1: half, rounded up.
         width = (width + 1) // 2
     return ops.shape(picture, 3, (width * width * FILTERS[-1],))
 
@@ -192,6 +198,7 @@ class NumpyOperations:
 
     def softmax(self, x: np.ndarray) -> np.ndarray:
         """See `Operations`."""
+        # Less the largest, or exp overflows; the result is the same.
         share = np.exp(x - x.max(-1, keepdims=True))
         return share / share.sum(-1, keepdims=True)
 

@@ -42,6 +42,7 @@ def is_own_policy(what: str) -> bool:
 def split_own_policy(what: str) -> tuple[str, str, str]:
     """Return file or module, name of the function, and argument; the last is empty without one."""
     name, _, argument = what.partition("@")
+    # From the right: a path of Windows has a colon of its own.
     place, _, function = name.rpartition(":")
     return place, function, argument
 
@@ -83,6 +84,7 @@ def _function(what: str) -> Callable[..., object]:
 def _module(place: str) -> ModuleType:
     if not place.endswith(".py"):
         return importlib.import_module(place)
+    # By contents: a changed file is another module, and two files of one name do not collide.
     known = f"usarmjx_policy_{hashlib.sha256(Path(place).read_bytes()).hexdigest()[:16]}"
     if known not in sys.modules:
         folder = str(Path(place).resolve().parent)
@@ -95,6 +97,7 @@ def _module(place: str) -> ModuleType:
         sys.modules[known] = module  # dataclasses look their module up
         try:
             spec.loader.exec_module(module)
+        # A half executed module must not pass for a whole one at the next attempt.
         except BaseException:
             del sys.modules[known]
             raise
@@ -116,6 +119,7 @@ def random_policy(env: Env) -> Policy:
     """Return the policy of actions that are uniform from -1 to 1, new at each step."""
 
     def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+        # A key for each group: with one key equal shapes would draw equal actions.
         groups = zip(obs, env.groups, jax.random.split(key, len(obs)), strict=True)
         return carry, tuple(
             jax.random.uniform(k, (*o.shape[:2], group.action_size), minval=-1.0) for o, group, k in groups
@@ -205,6 +209,8 @@ class PolicySource:
         if self.learned is None:
             return BASELINES.get(self.name)(env)
         policy, params = self.learned
+        # Classes and sizes, not the robots themselves: a policy is shared within a class and plays teams of
+        # any size.
         mine, theirs = _shapes(policy.groups), _shapes(env.groups)
         if mine != theirs:
             raise UsageError(
@@ -288,6 +294,7 @@ class PolicySource:
             return "; ".join(filter(None, (part.training_note(labels) for part in self.parts.values())))
         if self.learned is None:
             return ""
+        # As in training, without the user's settings: those may name other arenas.
         overrides, _ = task_settings(self.task, self.overrides, ())
         return training_note(self.name, make_task(self.task, **overrides).arenas, played)
 
@@ -366,6 +373,7 @@ def task_settings(
         UnknownNameError: No such task, or field; lists those there are.
     """
     chosen, asked = make_task(task), parse_assignments(settings, "--set")
+    # A field set as a whole voids what training had set within it; `a.b=` keeps its neighbours.
     replaced = {name.partition(".")[0] for name in asked if "." not in name}
     kept, notes = dict[str, str](), list[str]()
     for name, text in trained.items():
@@ -401,6 +409,7 @@ def mixed_policy(env: Env, parts: Mapping[str, PolicySource]) -> Policy:
     """
     given = {name.lower(): part for name, part in parts.items()}
     classes = [group.name for group in env.groups]
+    # Names on one side only: a class without a policy, or a policy without a class.
     if wrong := sorted({name.lower() for name in classes} ^ {*given}):
         raise UsageError(f"a policy for each of {', '.join(classes)}; missing or unknown: {', '.join(wrong)}")
     policies = [given[name.lower()].of_class(env, index) for index, name in enumerate(classes)]
@@ -442,11 +451,13 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
         UnknownNameError: Nothing is there, and no packaged policy has that name; lists those there are.
     """
     path = Path(what)
+    # A file or folder may have = in its name.
     if "=" in what and not path.exists():
         return _load_parts(what, checkpoint)
     if path.is_dir() and (weights := weights_in(path)):
         return replace(load_exported(weights), name=what)
     if path.is_dir():
+        # Only here: it imports the learner, which other policies need not have.
         from usarmjx.train.learning.checkpoint import Checkpoints, read_policy
 
         policy, params, record = read_policy(path, checkpoint)
@@ -457,6 +468,7 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
             learned=(policy, params),
             checkpoint=Checkpoints(path).describe(checkpoint),
         )
+    # Before files: FILE.py:FUNCTION is no path, and a .py file is no exported policy.
     if is_own_policy(what):
         check_own_policy(what)
         return PolicySource(name=what, task="", own=True)
@@ -480,6 +492,7 @@ def load_exported(file: Path) -> PolicySource:
         for one, layout in zip(exported.groups, exported.layouts, strict=True)
     ]
     groups = tuple(AgentGroup(**one) for one in given)
+    # Networks over sets call their first layer `own`.
     first = "layer_0" if exported.network == "mlp" else "own"
     names = (first, *(f"layer_{i}" for i in range(1, exported.layers)))
     widths = tuple(exported.weights[0][name]["kernel"].shape[1] for name in names)
