@@ -124,6 +124,7 @@ def view(
 ) -> None:
     """Show a recording in a browser, at any speed."""
     with ErrorExit():
+        # Before the imports below, which take seconds.
         announce(f"reading {file} ...")
         if bag is not None and protobuf is None:
             from usarmjx.base.errors import UsageError
@@ -304,6 +305,7 @@ def film(
             rate=rate,
             signs=signs,
         )
+        # Before the recording is read: a wrong name must not cost minutes.
         check_film(out)
         announce(f"reading {file} ...")
         recording = Recording(file)

@@ -197,6 +197,7 @@ class RadioOptions:
     @property
     def ports(self) -> dict[str, int]:
         """Their ports by their options."""
+        # Without an ini nothing of the radio is imported only to know a port.
         usual = self.constants.listen_port if self.radio_ini else WSS_PORT
         ports = {
             "--wss-port": usual if self.wss_port is None else self.wss_port,
@@ -350,6 +351,7 @@ def connect_ros(servers: "Sequence[BotServer]") -> None:
     from usarmjx.server.rosbridge.net import RosbridgeServer
 
     for server in servers:
+        # Afterwards, as a server is made of its services.
         for service in server.services:
             if isinstance(service, RosbridgeServer | Ros2Server):
                 service.server = server
@@ -665,6 +667,7 @@ class Host:
         settings = replace(self.settings, time_limit=self.run.time_limit)
         servers = make_servers(worlds, settings, services.makers, ports.bound, self.numbers, batch_size)
         connect_ros(servers)
+        # To one server only: what all worlds share must run once.
         servers[0].services.extend(more)
         if ports.metrics is not None:
             add_metrics(servers, self.run.realtime_factor, ports.metrics, self.numbers)

@@ -129,6 +129,7 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
     bones: list[tuple[float, np.ndarray, str]] = []
     for i in range(table.num_boxes):
         mat = np.zeros(9)
+        # MuJoCo takes floats of 64 bits only.
         mujoco.mju_quat2Mat(mat, quat[i].astype(float))
         bone = Shape(
             kind="box",
@@ -158,6 +159,7 @@ def _draw_starts(axes: Axes, arena: ArenaSpec, words: bool) -> None:
     named = arena.starts if len(arena.starts) <= MAX_NAMED_STARTS else arena.starts[:1]
     for start in arena.starts:
         cos, sin = math.cos(start.yaw), math.sin(start.yaw)
+        # Markers do not turn with the data, so their corners are turned.
         marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
         axes.plot(*start.at[:2], marker=marker, color=START, ms=10 if words else 6, ls="", zorder=5)
         if words and start in named:

@@ -149,6 +149,7 @@ def perspective(
         (t for t in CHECKER_SIZES if t * MAX_CHECKERS > np.ptp(arena.extent, axis=1).max()), CHECKER_SIZES[-1]
     )
     setting = Lighting(sun=SUN, checker_size=tile, checker_extent=arena.extent)
+    # Each ray has one colour: means of four smooth the edges.
     picture = downsample(
         render_picture(arena_render_geoms(shown), eye, target, 2 * width, 2 * height, setting)
     )
@@ -192,6 +193,7 @@ def _eye(arena: ArenaSpec, aspect: float) -> tuple[np.ndarray, np.ndarray]:
     """Return from where the whole arena fills a picture, and the picture's middle (3,) and (3,) [m]."""
     (x0, x1), (y0, y1) = arena.extent
     top = max([0.0, *(height_range(shape)[1] for shape in arena.shapes if shape.material != SKY)])
+    # A mast must not make the camera step back from all the rest.
     top = min(top, 0.5 * min(x1 - x0, y1 - y0))
     corners = np.array([(x, y, z + arena.floor) for x in (x0, x1) for y in (y0, y1) for z in (0.0, top)])
     azimuth, elevation = ARENA_ANGLES

@@ -37,6 +37,7 @@ def outline(shape: Shape) -> np.ndarray:
     mat, at = np.asarray(mat_from_angles(*np.array(shape.rotation))), np.array(shape.at)
     points = _corners(shape) @ mat[:2].T
     points = (points[:, None] + _shadow(shape, mat)).reshape(-1, 2) + at[:2]
+    # The outline of a convex solid is the hull of its corners' projections.
     return points[ConvexHull(points).vertices]
 
 
@@ -65,6 +66,7 @@ def _corners(shape: Shape) -> np.ndarray:
     if shape.heights is not None:
         x, y, base = shape.size
         top = float(np.max(shape.heights.heights))
+        # Every second sign is one of the four corners in x and y.
         return np.concatenate(
             [CORNER_SIGNS[::2] * (x, y, 0) - (0, 0, base), CORNER_SIGNS[::2] * (x, y, 0) + (0, 0, top)]
         )
@@ -150,6 +152,7 @@ def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
     (x, y, yaw), (at_x, at_y, at_yaw) = scan["pose"], scan["at"]
     spread = np.asarray(np.linspace(scan["fov"] / 2, -scan["fov"] / 2, len(ranges)), float)
     angle = yaw + at_yaw + spread
+    # In the wire's axes, y right and yaw clockwise; only the points are turned into ours.
     start_x = x + at_x * math.cos(yaw) - at_y * math.sin(yaw)
     start_y = y + at_x * math.sin(yaw) + at_y * math.cos(yaw)
     points = np.column_stack([start_x + ranges * np.cos(angle), -start_y - ranges * np.sin(angle)])
@@ -218,6 +221,7 @@ def draw_shapes(axes: Axes, arena: ArenaSpec) -> None:
     for sort, members in sorts.items():
         style = dict(STYLES[sort])
         if sort == "ground":
+            # Higher ground over lower, as it is seen from above.
             members = sorted(members, key=lambda shape: tops[id(shape)])
             style["facecolor"] = [GROUND(tops[id(shape)] / DARKEST_HEIGHT) for shape in members]
         elif sort == "paint":
@@ -240,6 +244,7 @@ def _draw_terrain(axes: Axes, shape: Shape) -> None:
     x, y = np.meshgrid(*(np.linspace(-h, h, n) for h, n in zip(shape.size, z.shape[::-1], strict=False)))
     cos, sin = math.cos(shape.rotation[2]), math.sin(shape.rotation[2])
     x, y = shape.at[0] + cos * x - sin * y, shape.at[1] + sin * x + cos * y
+    # Level ground has no contours, of which Matplotlib warns.
     if np.ptp(z) == 0:
         return
     axes.contourf(x, y, z, levels=CONTOURS, cmap=GROUND, zorder=1)

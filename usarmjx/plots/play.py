@@ -125,6 +125,7 @@ def record_episode(
                 (step * env.period, float(np.asarray(state.score)[WORLD]), *positions_of(env, state))
             )
     times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
+    # Tasks keep goals of several forms; only points on the floor can be drawn.
     in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
     names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
     return EpisodeRecording(
@@ -194,6 +195,7 @@ def _figure(columns: int, rows: int, arena: ArenaSpec) -> Figure:
 
 def save_png(shown: EpisodeRecording, path: Path) -> None:
     """Write moments of a film, the first and the last among them, beside each other as a PNG file."""
+    # Short films have fewer moments than there are panels.
     frames = np.unique(np.linspace(0, len(shown.times) - 1, PANELS).round().astype(int))
     columns = min(COLUMNS, len(frames))
     rows = -(-len(frames) // columns)
@@ -216,7 +218,9 @@ def film_frames(shown: EpisodeRecording, frames: np.ndarray) -> Iterator[np.ndar
         drawn = _draw(axes, shown, frame)
         axes.set_title(f"{shown.task}: {_caption(shown, frame)}", loc="left", fontsize=9)
         figure.canvas.draw()
+        # A copy: the canvas draws the next picture into the same buffer.
         yield np.array(figure.canvas.buffer_rgba())[..., :3]  # pyright: ignore[reportAttributeAccessIssue, reportUnknownArgumentType]
+        # The plan stays: it takes far longer to draw than what moves.
         for one in drawn:
             one.remove()
 
@@ -227,6 +231,7 @@ def save_gif(shown: EpisodeRecording, path: Path, speedup: float = GIF_SPEEDUP) 
     frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
     pictures = [Image.fromarray(pixels).quantize(64) for pixels in film_frames(shown, frames)]
     lasts = np.diff(shown.times[frames], append=shown.times[-1]) / speedup
+    # Browsers take less than 20 ms for a mistake, and show such pictures slowly.
     durations = [*(max(20, round(1000 * one)) for one in lasts[:-1]), 2000]
     pictures[0].save(
         path, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0
@@ -266,6 +271,7 @@ def ranked_worlds(reward: np.ndarray, bad: np.ndarray) -> dict[str, int]:
     """
     sound = np.flatnonzero(~bad.any(0))
     worlds = np.asarray(sound if len(sound) else np.arange(bad.shape[1]), int)
+    # Stable, so that equal sums always give the same worlds.
     order = worlds[np.argsort(reward[:, worlds].sum(0), kind="stable")]
     return dict(zip(RANKS, map(int, (order[-1], order[len(order) // 2], order[0])), strict=True))
 
@@ -299,6 +305,7 @@ class Clips:
 
     def _shown(self, inputs: RolloutInputs, worlds: dict[str, int]) -> dict[str, EpisodeRecording]:
         env = self._env
+        # Ended once is ended for good: what follows is another episode.
         ended = np.asarray(inputs.done).cumsum(0) > 0
         moments = {rank: [self._moment(inputs.env_state, world)] for rank, world in worlds.items()}
         for step, _, after in play_again(env, inputs, inputs.steps):

@@ -89,10 +89,12 @@ def read_mission(recording: Recording, world: int, span: tuple[float, float]) ->
     setup = recording.setup(world)
     if not setup.arenas:
         raise UsageError(f"{recording.path}: does not have the arena: {setup.why_not}")
+    # The sensor's rows are bones, several of one victim.
     owners = np.asarray(victim_table(setup.arenas[0].victims, setup.arenas[0].false_alarms).owner)
     reader = _Reader(owners)
     for message in recording.messages(("drawings", "frames", "readings", "score"), world):
         kind = message.channel.kind
+        # Drawings before the span count, too: they say who its robots are.
         if kind == "drawings":
             reader.drawing = message.value
         elif span[0] <= message.time <= span[1]:
@@ -167,6 +169,7 @@ def _ends(mount: DrawnMount, frame: Frame, value: np.ndarray) -> np.ndarray:
     ranges = np.asarray(value, float).reshape(-1)
     angle = -float(settings["scan_fov"]) / 2 + np.arange(len(ranges)) * float(settings["resolution"])
     along, aside = ranges * np.cos(angle), ranges * np.sin(angle)
+    # Without `yaw` the scanner sweeps in its upright plane.
     flat = settings.get("yaw", True)
     ends = np.stack([along, aside if flat else 0 * aside, 0 * aside if flat else aside], -1)
     ends = ends[ranges < NEARLY * float(settings["max_range"])]
@@ -299,6 +302,7 @@ def _colour(place: int) -> str:
 def _draw_ways(axes: Axes, mission: RecordedMission) -> None:
     """Draw the plan, where beams ended, the robots' ways and the victims that were met."""
     draw_plan(axes, mission.arena, words=False, starts=False)
+    # As pixels, since so many points would make a vector file huge.
     axes.plot(*mission.scans.T, ".", ms=1.0, color=SCAN, alpha=0.4, zorder=6, rasterized=True, **INSIDE)
     for place, way in enumerate(mission.ways):
         _draw_way(axes, way, _colour(place))
@@ -318,6 +322,7 @@ def _draw_way(axes: Axes, way: RobotWay, colour: str) -> None:
     axes.plot(*poses[:, :2].T, color=colour, lw=1.2, zorder=8, label=f"{way.name} ({way.robot})", **INSIDE)
     axes.plot(*poses[0, :2], "o", color=colour, ms=4, mec="white", mew=0.5, zorder=9, **INSIDE)
     cos, sin = np.cos(poses[-1, 2]), np.sin(poses[-1, 2])
+    # Markers do not turn with the data, so their corners are turned.
     marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
     axes.plot(*poses[-1, :2], marker=marker, color=colour, ms=8, mec="white", mew=0.5, zorder=9, **INSIDE)
 

@@ -159,6 +159,7 @@ class ControlLock:
 
     def take(self, viewer: int) -> bool:
         """Give the controls to a user, if no other has them; return whether the user has them."""
+        # Users' clicks come on threads of their own.
         with self._lock:
             if self.allowed and self._holder is None:
                 self._holder = viewer

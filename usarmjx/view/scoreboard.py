@@ -196,6 +196,7 @@ class MissionLog:
         self._time = frame.time
         robots = {slot: drawing.robots[slot] for slot in frame.robots if slot in drawing.robots}
         states = {robot.name: state_of(robot, frame.robots[slot]) for slot, robot in robots.items()}
+        # Not at the first frame: who is there from the start does not join.
         if self._states is not None:
             for name, state in states.items():
                 if name not in self._states:
@@ -224,6 +225,7 @@ def state_of(robot: DrawnRobot, frame: RobotFrame) -> str:
     """Return the state of a robot in a word or two."""
     if robot.battery_life > 0 and frame.battery <= 0:
         return "no battery"
+    # For one small matrix JAX would take longer to call than to compute.
     with numpy_backend():
         up = float(np.asarray(mat_from_quat(np.asarray(frame.quat, float)))[2, 2])
     if up < TIPPED_COSINE:
@@ -249,6 +251,7 @@ def _can_find(drawing: Drawing) -> bool:
 def known_area(frame: Frame) -> float | None:
     """Return the area that the robots' maps know together [m2]; None without maps."""
     grid = frame.extra.get(MAP_GRID)
+    # The grid's own name begins with the same prefix.
     maps = [value for name, value in frame.extra.items() if name.startswith(MAP_PREFIX) and name != MAP_GRID]
     if grid is None or not maps:
         return None
@@ -350,6 +353,7 @@ class ScoreboardPanel:
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Show the present frame of the world."""
         now, world = time.monotonic(), self._page.world
+        # Another world at once, or the old one's board would stand beside it.
         if now < self._due and world == self._world:
             return
         self._due, self._world = now + UPDATE_PERIOD, world

@@ -69,6 +69,7 @@ class SensorPlot:
 
     def update(self, time: float, reading: np.ndarray) -> None:
         """Show a reading at a simulated time [s]."""
+        # An infinity would spoil the plot's scale; NaN leaves a gap.
         values = np.where(np.isfinite(reading), reading, np.nan).astype(float).ravel()
         if not self._over_time:
             values = values[:: -(-len(values) // MAX_POINTS)]
@@ -137,6 +138,7 @@ class RobotReadout:
             return
         driver = None if status is None else status.drivers.get(self._robot.slot)
         text = state_html(self._robot, now, driver)
+        # Each assignment is a message to the browser, even of an equal text.
         if text != self._text:
             self._state.content = self._text = text
         self._plots.update(frame.time, now)
@@ -230,6 +232,7 @@ class UserPanels:
             self._show_banner(status)
         for number in self._people.keys() - viewers.keys():
             del self._people[number]
+        # A copy, as users come and go on viser's threads.
         for number, viewer in list(viewers.items()):
             if number not in self._people:
                 order = self._banner.order
@@ -291,6 +294,7 @@ class UserPanel:
         self._take.on_click(lambda _: self._toggle_control())
         nobody: tuple[str, ...] = (NO_ROBOT,)
         self._choice = client.gui.add_dropdown("Robot", nobody, order=order + 0.4)
+        # Posted: the callback runs on a thread of viser's, what it changes belongs to the page's.
         self._choice.on_update(lambda _: page.post(self._chosen))
 
     @property
@@ -328,6 +332,7 @@ class UserPanel:
             followed: Slot of the robot that this user's view is attached to; None: none.
         """
         drawing = self._page.drawing
+        # Only when that changes, or a choice by hand would be undone at the next update.
         if followed != self._followed:
             self._followed = followed
             if followed is not None and followed in self._names:
@@ -335,6 +340,7 @@ class UserPanel:
                 self._slot = followed
         if self._held != self.may():
             self._held = self.may()
+            # Failures from before are those of whoever had the controls.
             self._errors = 0 if status is None else status.errors
             self._show_run(drawing)
         self._show_robot(drawing, frame)
@@ -402,6 +408,7 @@ class UserPanel:
             self._robot = None
             self._drop("Robot state")
             return
+        # With name and class, as a slot may go to another robot between two updates.
         key = self._page.world, robot.slot, robot.name, robot.robot, self._held
         if self._robot is not None and self._robot[0] == key:
             return
