@@ -246,6 +246,7 @@ def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
     material = np.where(
         solids.transparency > 0, GLASS, np.where(solids.reflectance > 0, MIRROR, OPAQUE)
     ).tolist()
+    # `make_geoms` sorts by kind and material: colours must follow in the same order.
     order = np.concatenate([np.zeros(0, int), *indices_by_key(solids.kind, material).values()])
     owner = np.full(len(solids), -1)
     geoms = make_geoms(solids.kind, solids.pos, solids.mat, solids.size, owner, material)

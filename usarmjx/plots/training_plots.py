@@ -138,6 +138,7 @@ def curve_of_run(folder: Path) -> Curve:
     there, config = np.isfinite(score), settings.config
     if not there.any():
         raise UsageError(f"no episode has ended yet in the run in {folder}")
+    # By each iteration's own rate, as a run's file has no times; pauses between runs do not count.
     seconds = np.cumsum(np.diff(steps, prepend=0.0) / rates)
     return Curve(
         task=settings.task,
@@ -177,6 +178,7 @@ def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
 
     These are of one task, with the same overrides, on one engine in as many worlds.
     """
+    # A dict keeps the last of equal keys: a repeated seed replaces the earlier one.
     last = {(one.task, one.fields, one.engine, one.worlds, one.seed): one for one in curves}
     found: dict[str, list[Curve]] = {}
     for kind in dict.fromkeys(key[:-1] for key in last):
@@ -200,6 +202,7 @@ def mean_curve(curves: Sequence[Curve], along: Axis) -> tuple[np.ndarray, np.nda
     """Return places along an axis and the mean score there, as far as all curves reach (points,)."""
     start, end = max(along(one)[0] for one in curves), min(along(one)[-1] for one in curves)
     places = np.unique(np.concatenate([along(one) for one in curves]))
+    # Beyond, the mean would jump where a run ends.
     places = places[(start <= places) & (places <= end)]
     return places, np.mean([np.interp(places, along(one), one.score) for one in curves], axis=0)
 
@@ -253,6 +256,7 @@ def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
     }
     if MEAN in there:
+        # First in the legend; single runs have no label, or each would stand there.
         there = {"a run": Line2D([], [], color=PALETTE[0], alpha=PALE, lw=0.8), **there}
     if there:
         figure.legend([*there.values()], [*there], loc="outside lower center", ncols=len(there))

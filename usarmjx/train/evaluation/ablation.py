@@ -64,6 +64,7 @@ def without_goal(obs: jax.Array, others: int) -> jax.Array:
 
 def without_mates(obs: jax.Array, others: int) -> jax.Array:
     """Hide all team mates, as if they were never heard."""
+    # An age of 1 is what tasks show of a mate that was never heard; 0 would be fresh news.
     silent = jnp.zeros(MATE_SIZE).at[MATE_AGE].set(1.0)
     return obs.at[..., MATES : MATES + others * MATE_SIZE].set(jnp.tile(silent, others))
 
@@ -79,8 +80,10 @@ def without_other_robots(obs: jax.Array, others: int) -> jax.Array:
     """Hide all others from a robot that chooses goals, as if they were never heard."""
     del others
     goals = obs[..., FIRST_GOAL:FIRST_MASK].reshape(*obs.shape[:-1], GOALS, GOAL_NUMBERS)
+    # The mask, too: a choice to follow somebody would tell that there is somebody.
     there = obs[..., -GOALS:].at[..., 1 : 1 + goal_features.MATES].set(0.0)
     goals = goals.at[..., GOAL_OTHERS].set(1.0).at[..., GOAL_NEARER].set(0.0)
+    # Goals that are not there stay all 0, as in training.
     goals = jnp.where(there[..., None] > 0.0, goals, 0.0).reshape(*obs.shape[:-1], GOALS * GOAL_NUMBERS)
     hidden = obs.at[..., OWN_HEARD].set(0.0).at[..., FIRST_MATE:FIRST_GOAL].set(0.0)
     return hidden.at[..., FIRST_GOAL:FIRST_MASK].set(goals).at[..., -GOALS:].set(there)
@@ -89,6 +92,7 @@ def without_other_robots(obs: jax.Array, others: int) -> jax.Array:
 def without_news(obs: jax.Array, others: int) -> jax.Array:
     """Hide from a robot that chooses goals how much the base and the others do not know yet."""
     del others
+    # One number of each goal, so a stride over the goals.
     news = slice(FIRST_GOAL + GOAL_NEWS, FIRST_MASK, GOAL_NUMBERS)
     untold = slice(FIRST_MATE + goal_features.MATE_NUMBERS - 1, FIRST_GOAL, goal_features.MATE_NUMBERS)
     return obs.at[..., OWN_NEWS].set(0.0).at[..., untold].set(0.0).at[..., news].set(0.0)
@@ -228,6 +232,7 @@ def ablate(
                 check_layout(env)
             policy = hidden_policy(driver(env), hide, env.scene.num_robots - 1)
             result = play_team(env, own, policy, f"{team} without {without}", seed)
+            # The first ablation takes nothing away: what the others are compared with.
             whole = whole or result
             rows.append(ablation_row(team, without, result, whole))
             tell(rows[-1])
@@ -236,6 +241,7 @@ def ablate(
 
 def ablation_row(team: str, without: str, result: TeamResult, whole: TeamResult) -> AblationRow:
     """Return the row of a result, compared with that of the whole policy in the worlds that both have."""
+    # In pairs, building by building: that takes the buildings' differences out of the interval.
     gains = np.array(result.by_world, float) - np.array(whole.by_world, float)
     return AblationRow(
         team=team, without=without, result=result, difference=estimate_groups(gains[np.isfinite(gains)])

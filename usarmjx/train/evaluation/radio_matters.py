@@ -83,6 +83,7 @@ class VariantResult:
 
 def variants(task: TeamTask) -> dict[str, TeamTask]:
     """Return a task with a perfect radio, with its own, and with messages to nobody but the base."""
+    # A score of reports to the base would be 0 without any talk, whatever the mates' radio is worth.
     quiet = replace(task, talk="base" if task.reports else "none")
     return {"perfect": replace(task, radio=PERFECT_RADIO), "real": task, "none": quiet}
 
@@ -137,6 +138,7 @@ def run_variant(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, n
         carry, actions = act(carry, state.obs, jax.random.fold_in(random.key(seed), step))
         state = env.step(state, actions)
         good &= ~np.asarray(state.bad)
+        # Those of the last step stay: there all episodes end, see `check_whole`.
         score = np.asarray(state.final_score)
         metrics = {key: np.asarray(value) for key, value in state.metrics.items()}
     return score[good], {key: value[good] for key, value in metrics.items()}
@@ -169,6 +171,7 @@ def measure(
     for variant, task in variants(few_arenas(team, worlds)).items():
         env = build_env(task, worlds, name=name, engine=engine)
         runs = [run_variant(env, name, seed) for seed in seeds]
+        # Over the seeds' means: episodes of one seed are not independent.
         means = [float(scores.mean()) for scores, _ in runs]
         ends = {key: float(np.mean([m[key].mean() for _, m in runs])) for key in runs[0][1]}
         rows.append(
