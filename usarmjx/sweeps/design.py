@@ -91,12 +91,14 @@ def episodes_of(records: Sequence[CellRecord], sampled: Sampled) -> Episodes:
     apart = (*REPLICATES, *DRIVERS, *sampled)
     for record in records:
         settings = record.settings
+        # Sorted, so that the order of a file's keys makes no difference.
         fixed = repr(sorted((key, value) for key, value in settings.items() if key not in apart))
         point = tuple(settings.get(name) for name in sampled)
         run, seed = as_text(settings["policy"]), (settings.get("seed"), settings.get("arena.seed"))
         for number in record.good:
             stratum = number % record.strata if record.strata > 1 else 0
             building = building_of(record, number)
+            # Without policy and run: episodes of two of them pair by all else.
             key = (fixed, point, seed, number)
             rows.append(((fixed, stratum), point, run, building, key))
             scores.append(record.scores[number])
@@ -180,6 +182,7 @@ class Layout:
                 one = parent[one]
             return one
 
+        # Union-find: a chain of settings and buildings in common makes one set.
         for cell, building in set(zip(self.cells.tolist(), self.buildings.tolist(), strict=True)):
             parent[root(("cell", cell))] = root(("building", building))
         return len({root(one) for one in list(parent)})
@@ -222,6 +225,7 @@ class Layout:
     @cached_property
     def coordinates(self) -> np.ndarray:
         """Sampled settings of each point, from 0 to 1 (points, settings)."""
+        # In the order of `_numbers`, whose numbers index these rows.
         points = sorted(set(self.episodes.points), key=repr)
         spans = list(self.episodes.sampled.values())
         return np.array(
@@ -246,6 +250,7 @@ class Layout:
         index = tuple(self.indices.values())
         shape = tuple(int(one.max()) + 1 for one in index)
         sums, counts = np.zeros(shape), np.zeros(shape)
+        # Not `sums[index] += rest`, which counts a place that occurs twice only once.
         np.add.at(sums, index, rest)
         np.add.at(counts, index, 1.0)
         if len(shape) == 1:
@@ -326,6 +331,7 @@ def mean_score(episodes: Episodes, *, shares: bool = True) -> Estimate:
         points = adjusted(
             SETTINGS, np.hstack([np.ones((len(terms), 1)), terms]), _unit(terms.shape[1] + 1, 0)
         )
+        # The table's adjusted mean counts then, not that of the scores.
         value = None
     return crossed_estimate(
         layout.table(scores),
@@ -358,6 +364,7 @@ def range_scores(episodes: Episodes, axis: str, ranges: Sequence[int]) -> list[E
         factors = layout.factors(adjusted(SETTINGS, terms, _unit(terms.shape[1], number)))
         mine = np.asarray(ranges) == number
         draws = {**layout.draws, SETTINGS: int((of_point == number).sum())}
+        # Adjusted means of shares may leave 0 to 1.
         value = float(np.clip(crossed_mean(table, factors), 0.0, 1.0)) if shares else None
         found.append(
             crossed_estimate(table, factors, int(mine.sum()), value=value, shares=shares, draws=draws)
@@ -385,6 +392,7 @@ def middle_score(episodes: Episodes) -> Estimate:
     entries, scores = entries_of(episodes), episodes.scores
     means = np.bincount(entries, scores) / np.bincount(entries)
     spread, inside = interquartile_effects(means)
+    # Linearised: the plain mean of these varies as the interquartile mean does.
     values = spread[entries] + inside[entries] * (scores - means[entries])
     layout = Layout(replace(episodes, scores=values))
     value = float(spread.mean())

@@ -168,6 +168,7 @@ def flatten(given: object, where: str) -> dict[str, Any]:
     for key, item in rows.items():
         line = f"{item.place}: {where}" if isinstance(item, FileValue) else where
         value = item.plain() if isinstance(item, FileValue) else item
+        # Only parts nest: a roster is a mapping, too, but one value.
         nested = is_mapping(value) and (key in parts() or key == FIELDS)
         within = {f"{key}.{p}": v for p, v in value.items()} if nested else {str(key): value}
         for name, own in within.items():
@@ -207,6 +208,7 @@ def complete(settings: CellSettings, where: str) -> dict[str, Any]:
         UsageError: No task, or a value that is not allowed; names its limits.
     """
     full = {"task": None, **DEFAULTS, **settings}
+    # Dotted names belong to other classes, not to `Cell`.
     whole = {name: value for name, value in full.items() if name in NAMES}
     default_reader().values(Cell, whole, where=where)
     full["policy"] = rename_policy(full["policy"])
@@ -361,6 +363,7 @@ def read_spec(given: object, name: str = "sweep", common: Mapping[str, Any] | No
     rows = given.data if isinstance(given, FileValue) else given
     file, found = default_reader().from_data(SweepFile, given), dict[str, Any](rows)  # type: ignore - a mapping
     sample, axes = _sample_settings(found.get("sample")), _axes(found.get("product"))
+    # A row of nothing keeps the product's place until the number of cells is known.
     parts: list[list[dict[str, Any]]] = [_rows(found.get("list")), [{}], _sample(sample)]
     count = math.prod([*map(len, parts), *map(len, axes.values())])
     if count > MAX_CELLS:  # before they are built: five axes of 40 values are 100 million
@@ -370,10 +373,13 @@ def read_spec(given: object, name: str = "sweep", common: Mapping[str, Any] | No
     base = flatten(found["common"], "common") if file.common else {}
     over = flatten(common or {}, "the command line")
     where = f"{given.path}: a cell" if isinstance(given, FileValue) else "a cell"
+    # Later ones win: the command line over the cells, these over the file's common settings.
     joined = ({**base, **_joined(rows), **over} for rows in itertools.product(*parts))
     cells = [complete(cell, where) for row in joined for cell in with_runs(row, where)]
+    # By text, as settings hold lists and mappings, which have no hash.
     unique = list({repr(cell): cell for cell in cells}.values())
     names = dict.fromkeys(key for rows in [[base], *parts] for row in rows for key in row)
+    # The runs of a method differ by their policy, which no part of the file names.
     if "method" in names:
         names["policy"] = None
     return SweepSpec(
@@ -496,5 +502,6 @@ def _points(count: int, size: int, method: str, seed: int) -> np.ndarray:
 def _at(span: Sequence[Any], share: float) -> float | int:
     low, high = span
     if isinstance(low, int) and isinstance(high, int):
+        # One more than the span, so that the highest is as likely as the others.
         return min(high, low + int(share * (high - low + 1)))
     return float(low + share * (high - low))

@@ -61,6 +61,7 @@ def find_task(name: str) -> Task:
             stacklevel=2,
         )
     if make_baseline is not None:
+        # Replaced, as an edited file is imported anew.
         BASELINES.replace(full_name(name), make_baseline)
     return task
 
@@ -123,6 +124,7 @@ def file_of(name: str) -> Path | None:
 
 def _tasks_in(module: ModuleType) -> list[str]:
     """Return the names of the tasks that a module defines."""
+    # Its own only, not the classes that it imports.
     return [
         name
         for name, value in vars(module).items()
@@ -156,6 +158,7 @@ def _module(name: str, place: str) -> ModuleType:
         raise UsageError(f"task {name}: there is no file {path_of(place)}")
     try:
         return _from_file(path_of(place)) if in_file else importlib.import_module(place)
+    # A file that calls `sys.exit` when it is imported has a fault; it must not end the program.
     except (Exception, SystemExit) as error:
         raise UsageError(f"task {name}: {_fault(error, place)}") from error
 
@@ -203,6 +206,7 @@ def _fault(error: BaseException, place: str) -> str:
         return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
     if not place.endswith(".py"):
         return f"cannot import {place}: {why}"
+    # The last line within the file: deeper ones are in libraries.
     own = [one for one in traceback.extract_tb(error.__traceback__) if one.filename == str(path_of(place))]
     return f"{own[-1].filename}, line {own[-1].lineno}: {why}" if own else f"{path_of(place)}: {why}"
 

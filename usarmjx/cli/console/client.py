@@ -152,11 +152,13 @@ class ConsoleClient:
         shown = SECRET.sub(r"\1 ...", line)
         self._transcript.write(SENT, shown)
         try:
+            # Latin-1, as the server reads; letters that it lacks become question marks.
             self._writer.write(line.encode("latin-1", "replace") + b"\r\n")
             await self._writer.drain()
         except ConnectionError as error:
             self._writer.close()
             raise UsageError(f"{self.host}:{self.port} has hung up") from error
+        # Only now: what did not go out must not count as said.
         message = _parsed(line)
         if message is not None:
             self.knowledge.said(message)
@@ -170,6 +172,7 @@ class ConsoleClient:
                 data = await self._reader.read(READ_SIZE)
             except ConnectionError:
                 data = b""
+            # At the end, also a last line without its line end.
             for line in lines.feed(data) if data else lines.end():
                 received = Received(line, _parsed(line))
                 self._transcript.write(RECEIVED, line)
@@ -190,6 +193,7 @@ class ConsoleClient:
 
 def failure_of(error: OSError) -> str:
     """Return why there is no connection, in words."""
+    # Failed look-ups of names have negative numbers, which `strerror` does not know.
     if error.errno and error.errno > 0:
         return os.strerror(error.errno)
     return str(error) or f"no answer in {TIMEOUT:g} s"
@@ -257,6 +261,7 @@ async def run_script(
             if listener.done():
                 listener.result()  # what is shown goes nowhere
             await talk.carry_out(line.strip(), patience)
+        # Not `wait_for`, which cancels the listener and raises when the time is up.
         await asyncio.wait([listener], timeout=linger)
         if listener.done():
             listener.result()
@@ -286,6 +291,7 @@ class _Talk:
                 self._unseen.append(received.line)
                 self._news.set()
         finally:
+            # After a failure, too, or `@until` would wait in vain.
             self._over = True
             self._news.set()
 
@@ -308,6 +314,7 @@ class _Talk:
         try:
             async with asyncio.timeout(patience):
                 while True:
+                    # Cleared before looking: what comes meanwhile sets it again and is not missed.
                     self._news.clear()
                     while self._unseen:
                         if self._unseen.pop(0).startswith(beginning):
@@ -360,6 +367,7 @@ async def _lines_of(pipe: int) -> AsyncIterator[str]:
     reader, loop = asyncio.StreamReader(), asyncio.get_running_loop()
 
     def take() -> None:
+        # What there is, without waiting: the stream's `readline` would block the loop.
         data = os.read(pipe, READ_SIZE)
         if data:
             reader.feed_data(data)

@@ -84,6 +84,7 @@ def link_axis(links: dict[int, PackageLink], number: int) -> LinkAxis:
     """Return the axis of a link in the robot's frame on the wire, its package at rest."""
     axis: LinkAxis = (0.0, 0.0, 1.0)
     seen: set[int] = set()
+    # Links come from the server: a circle of parents must not hang the console.
     while number in links and number not in seen:
         seen.add(number)
         axis = _rotate(links[number].orientation, axis)
@@ -204,6 +205,7 @@ class KeyDriver:
 
     def _drive(self, speed: float) -> list[str]:
         keys = self._keys(speed)
+        # Plus 0.0, which turns -0.0 into 0.0: it would be printed as -0.
         text = " ".join(f"{{{key} {value + 0.0:g}}}" for key, value in keys)
         return [f"DRIVE {{Normalized True}} {text}"] if keys else []
 
@@ -212,6 +214,7 @@ class KeyDriver:
         known, ahead, turn = self.knowledge, self.ahead * speed, self.left * speed
         steer = 100 * self.left
         if known.steering == "SkidSteered":
+            # Both wheels by one factor: the curve stays the same where one would exceed the speed.
             wide = max(1.0, (abs(ahead) + abs(turn)) / max(speed, 1e-9))
             return [("Left", round((ahead - turn) / wide, 1)), ("Right", round((ahead + turn) / wide, 1))]
         if known.steering == "AckermanSteered":
@@ -226,6 +229,7 @@ class KeyDriver:
                 for pair in (("WheelNumber", n), ("WheelSpeed", ahead), ("WheelSteer", a))
             ]
         if known.steering == "RotaryWing" and known.class_name in BLIMPS:
+            # In percent of 90 degrees.
             angle = math.degrees(math.atan2(self.up, self.ahead)) / 0.9 if self.up else 0.0
             thrust = speed if self.up else ahead
             return [("XZAngle", round(angle, 1)), ("ThrustPropeller", thrust), ("TailPropeller", turn)]
@@ -304,6 +308,7 @@ class JoystickDriver:
     def feed(self, data: bytes) -> list[str]:
         """Take bytes of the device; return what to send."""
         data = self._rest + data
+        # A read may end within an event.
         whole = len(data) - len(data) % EVENT.size
         self._rest = data[whole:]
         before, lines = self._deflection(), list[str]()
@@ -315,6 +320,7 @@ class JoystickDriver:
     def _take(self, value: int, kind: int, number: int) -> list[str]:
         if kind & ~AT_FIRST == AXIS:
             self.axes[number] = value / FULL
+            # Opening the file tells all positions, which nobody has pressed just now.
             if not kind & AT_FIRST and abs(value) > FULL / 2:
                 if number == PAN_AXIS:
                     return self.pilot.press("pan_right" if value > 0 else "pan_left")
@@ -361,6 +367,7 @@ class JoystickDevice:
             return
         except OSError:
             data = b""
+        # An end stays readable: the loop would call this again at once, for ever.
         if not data:
             self.close()
         self._take(data)

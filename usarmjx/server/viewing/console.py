@@ -196,6 +196,7 @@ def _in_limits(key: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = float("nan")
+    # NaN fails every comparison, and is refused only in this form.
     if not low <= value <= high:
         raise UsageError(f"{key} is {text!r}, expected a number from {low:g} to {high:g}")
     return value
@@ -203,6 +204,7 @@ def _in_limits(key: str, text: str) -> float:
 
 def _with_parameters(robot: Robot, numbers: Mapping[str, float]) -> RobotSpec:
     """Return a robot's new description: that of its class with all parameters so far, and new ones."""
+    # From the class anew, in the order of SETTERS: the order of edits makes no difference.
     spec, parameters = robot.class_spec, robot.parameters | dict(numbers)
     for key, (_, set_to) in SETTERS.items():
         if key not in parameters:
@@ -210,6 +212,7 @@ def _with_parameters(robot: Robot, numbers: Mapping[str, float]) -> RobotSpec:
         if not _has_effect(spec, key):
             raise UsageError(f"{key} changes nothing: {spec.name} has no joint that it is about")
         spec = set_to(spec, parameters[key])
+    # Sensors and cameras may have been edited by themselves.
     return replace(spec, sensors=robot.spec.sensors, cameras=robot.spec.cameras)
 
 
@@ -288,6 +291,7 @@ def _with_options(mount: Mount, parameters: Mapping[str, str]) -> Mount:
     def field_of(key: str) -> str:
         return names.get(field_name(key), field_name(key))
 
+    # By field, as a setting has several spellings: the earlier value must not stay under another.
     fields = set(map(field_of, changes))
     kept = [(key, value) for key, value in mount.options if field_of(key) not in fields]
     return replace(mount, options=(*kept, *changes.items()))

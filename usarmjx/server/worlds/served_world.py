@@ -388,6 +388,7 @@ class ServedWorld(ABC):
         group, member = self.scene.group_of(robot.slot)
         world, physics = self.one_world()
         with numpy_backend():
+            # A group of one, as sensing works on groups; the axis goes again below.
             alone = self.scene.groups[group].part(np.array([member]))
             inputs = sense_self(self.scene, world, physics, alone)
         own = {name: getattr(inputs, name) for name in ROBOT_FIELDS}

@@ -116,6 +116,7 @@ class NodeLayer(Layer):
 
     def begin(self, scene: viser.SceneApi, drawing: Drawing, prefix: str) -> None:
         """Start with a new drawing."""
+        # The nodes of the earlier drawing may hang below the same path.
         self.end()
         self.scene, self.root = scene, f"{prefix}/{self.name.lower().replace(' ', '_')}"
         self._top = scene.add_frame(self.root, show_axes=False, visible=self._on)
@@ -162,6 +163,7 @@ class LineNode:
         colors = np.asarray(rgb, np.uint8)
         if colors.ndim == 2:
             colors = np.repeat(colors[:, None], 2, 1)
+        # Added with the first line and hidden without any: a node of nothing is never sent.
         if self._handle is None and len(ends):
             self._handle = self._scene.add_line_segments(
                 self._name, ends, colors, thickness=self._width, thickness_units="screen"

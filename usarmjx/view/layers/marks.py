@@ -56,6 +56,7 @@ class GridLayer(NodeLayer):
         """Draw it below the whole arena, with its lines at the joints of the arena's elements."""
         low, high = np.asarray(drawing.extent, float).T
         cell = CELL if (high - low).max() <= WIDE else CELL * CELLS_OF_SECTION
+        # Less a little, or rounding would add a cell where whole ones fit.
         cells = np.ceil((high - low) / cell - 1e-6) + 2
         width, height = (cells * cell).tolist()
         x, y = (low + cell * (cells / 2 - 1)).tolist()
@@ -152,6 +153,7 @@ def split_sketches(sketches: Sequence[OverlayLines]) -> tuple[np.ndarray, ...]:
         for name in ("start", "end", "rgb")
     )
     colors = (np.clip(rgb, 0.0, 1.0) * 255).astype(np.uint8)
+    # Overlays have one form for both: a line of no length is a point.
     is_point = (start == end).all(-1)
     ends = np.stack([start, end], 1)
     return ends[~is_point], colors[~is_point], end[is_point], colors[is_point]
