@@ -343,6 +343,7 @@ def try_client() -> Iterator[Finding]:
     yield Finding(
         "client", "ok" if way >= DISTANCE else "wrong", f"a client drove its {ROBOT} {way:.2f} m, {took}"
     )
+    # The scanner stands ahead of the robot's middle, from which the way is measured.
     fine = 0.0 < WALL_DISTANCE - way - nearest < SCANNER_REACH
     text = f"a wall {WALL_DISTANCE - way:.2f} m from the robot is {nearest:.2f} m from its scanner"
     yield Finding("rays", "ok" if fine else "wrong", text, "" if fine else REINSTALL)
@@ -355,6 +356,7 @@ def _drive(client: "UsarsimClient") -> float:
     deadline = time.monotonic() + REPORT_LIMIT
     while way < DISTANCE and time.monotonic() < deadline:
         x, y, _ = _next(client, "GroundTruth").pose()
+        # The first report, not the start pose: the robot has sunk onto its wheels since.
         begun = begun or (x, y)
         way = math.dist(begun, (x, y))
     return way
@@ -395,6 +397,7 @@ def try_speed() -> Iterator[Finding]:
         pinned_dof=np.zeros((SPEED_WORLDS, model.nv), bool),
         qpos=everywhere,
     )
+    # Outside of the measured time: the first reset also builds the engine's worlds.
     state, steps = engine.reset(engine.start(), np.ones(SPEED_WORLDS, bool), everywhere), 0
     began = time.perf_counter()
     while (took := time.perf_counter() - began) < SPEED_SECONDS:

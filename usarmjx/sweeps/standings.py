@@ -180,6 +180,7 @@ def key_of_settings(cell: CellRecord) -> SettingKey:
 def _table(runs: Sequence[Mapping[SettingKey, CellRecord]], keys: Sequence[SettingKey]) -> Table:
     """Return the scores of runs (runs, settings, buildings); NaN where the physics failed."""
     width = min(len(run[key].scores) for run in runs for key in keys)
+    # NaN, not left out: tables keep their shape, and means skip it.
     return np.array(
         [[np.where(run[key].bad, np.nan, run[key].scores)[:width] for key in keys] for run in runs], float
     )
@@ -212,6 +213,7 @@ def _metrics(cells: Sequence[CellRecord]) -> dict[str, float]:
 
 
 def _seconds(cell: CellRecord) -> float:
+    # Compilation depends on the cache and on the batch's other cells.
     return max(cell.seconds - cell.compile_seconds, 0.0) / max(len(cell.scores), 1)
 
 

@@ -153,6 +153,7 @@ def read_results(places: Sequence[Path]) -> list[RunResult]:
     """
     files: list[Path] = []
     for place in places:
+        # Sorted, as the order of a folder differs between machines.
         files += sorted(place.rglob(f"*{SUFFIX}")) if place.is_dir() else [place]
     if not files:
         raise UsageError(f"no results (*{SUFFIX}) in {', '.join(map(str, places))}")
@@ -172,6 +173,7 @@ def provenance() -> dict[str, Any]:
 
 def commit_here() -> str:
     """Return the commit of this package's code, with `+` if it has changes; `unknown` without a checkout."""
+    # Of the code's folder, not the working directory, which may be another checkout.
     git = ["git", "-C", str(Path(__file__).parent)]
     try:
         words = [
@@ -192,6 +194,7 @@ def run_digest(run: str, task: str) -> str:
     policy = policy_of_run(run, task)
     driver = find_driver(policy, task)
     code = policy_digest(policy, driver.weights)
+    # Planners and clients have neither weights nor code of their own: their names count.
     if driver.source is None and script_of(policy) is None:
         kept = rename_tasks({"policy": policy}, key_name)["policy"]
         code = hashlib.sha256(repr(kept).encode()).hexdigest()
@@ -282,6 +285,7 @@ class BenchmarkSuite:
 def _cell(settings: dict[str, Any], episodes: int) -> dict[str, Any]:
     """Return a cell whose buildings do not depend on how many of its episodes are played."""
     whole = {**settings, "policy": policy_of_run(str(settings["policy"]), settings["task"])}
+    # By a policy that needs no file: only the number of levels is wanted.
     levels = resolve({**whole, "policy": "random", "episodes": 1}).levels
     return {**whole, "arena.count": -(-episodes // levels)}
 
@@ -294,6 +298,7 @@ def load_suite(path: Path) -> BenchmarkSuite:
     """
     given = read_file(path)
     plain: dict[str, Any] = given.plain()
+    # Of the contents with old names of tasks, so that renaming one leaves the digest.
     text = json.dumps(_with_key_names(plain), sort_keys=True, default=str)
     file = default_reader().from_data(SuiteFile, given)
     file = replace(file, **{name: rename_keys(getattr(file, name), newest_name) for name in ("zero", "one")})

@@ -131,6 +131,7 @@ class KeyPad(Static, can_focus=True):
             self.post_message(self.Pressed(DRIVING_KEYS[event.key]))
         else:
             return
+        # Keys that drive must not reach the app's own bindings.
         event.stop()
 
     def on_mouse_down(self, event: events.MouseDown) -> None:
@@ -142,11 +143,13 @@ class KeyPad(Static, can_focus=True):
         """Turn the camera by a step when the mouse has moved by `COLUMNS_PER_STEP` or `ROWS_PER_STEP`."""
         if not self.has_focus:
             return
+        # The first place is only where the count begins.
         if self._mouse is None:
             self._mouse = event.x, event.y
         right, down = event.x - self._mouse[0], event.y - self._mouse[1]
         if abs(right) >= COLUMNS_PER_STEP:
             self.post_message(self.Pressed("pan_right" if right > 0 else "pan_left"))
+            # By axis, so that a slant movement loses no step of the other.
             self._mouse = event.x, self._mouse[1]
         if abs(down) >= ROWS_PER_STEP:
             self.post_message(self.Pressed("tilt_down" if down > 0 else "tilt_up"))
@@ -330,6 +333,7 @@ class SensorTree(Tree[None]):
 
     def show_latest(self) -> None:
         """Show what has come since the last time."""
+        # Only what has come since: a label that is set is drawn anew, even by the same text.
         latest, self._latest = self._latest, {}
         for name, message in latest.items():
             for item, fields in branch(message).items():

@@ -92,6 +92,7 @@ def generic_report(sensor: Sensor, value: np.ndarray, time: float | None) -> Mes
         time: Simulated time [s]; None leaves it out.
     """
     head: tuple[Segment, ...] = () if time is None else (("Time", four_decimals(time)),)
+    # A row for each mount of a group, else one for all.
     rows = np.asarray(value, float).reshape(len(sensor.mounts) if sensor.grouped else 1, -1).tolist()
     segments: list[Segment] = []
     for mount, row in zip(sensor.mounts, rows, strict=False):
@@ -154,6 +155,7 @@ def _lidar(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
 
 def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     x, y, heading = value.tolist()
+    # As vector and angle in space: the wire's axes are turned about x, not mirrored on the floor.
     (x, y, _), (_, _, heading) = flip_wire_vector((x, y, 0.0)), flip_wire_angles((0.0, 0.0, heading))
     return reports.sen_odometry(time, sensor.mounts[0].name, (x, y, heading))
 

@@ -195,6 +195,7 @@ def frames_of(drawing: Drawing, drawn: DrawnRobot) -> list[SensorFrame]:
         upright = mount.kind in SCANNERS and bool(mount.settings[0].get("pitch"))
         for index, title in enumerate(mount.names):
             mat = mount.mat[index] @ (motion.UPRIGHT if upright else np.eye(3))
+            # Counted from the robot's own chassis, as transforms are relative to it.
             body = int(mount.body[index]) - drawn.body
             found.setdefault(title, SensorFrame(title, body, mount.pos[index], mat))
     for body in range(1, drawn.num_bodies):
@@ -246,6 +247,7 @@ def write_bag(
         raise UsageError(f"{recording.path} has no world {world}; it has {_listed(recording.worlds)}")
     drawing: Drawing | None = None
     with BagWriter(folder) as bag:
+        # At the time of the start: the map comes before all that is placed on it.
         for one in _map_messages(recording, world):
             bag.write(one.topic, one.kind, one.message, recording.start, one.qos)
         for message in recording.messages({"drawings", "frames", "readings"}, world):
@@ -349,6 +351,7 @@ def _of_readings(time: float, content: dict[str, Any], drawing: Drawing) -> Iter
             if kind == "sensor_msgs/LaserScan":  # some viewers draw clouds only
                 points = topics.scan_points(message)
                 yield BagMessage(f"/{name}/{below}/points", "sensor_msgs/PointCloud2", points, SENSOR)
+            # Names without the sensor's own, as tools for one scanner or IMU subscribe to.
             alias = f"/{name}/{USUAL_NAMES.get(kind)}"
             is_first = sensor == _first_of(robot, mount.kind)
             if kind in USUAL_NAMES and is_first and alias not in usual:

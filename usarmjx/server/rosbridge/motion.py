@@ -74,6 +74,7 @@ def true_estimate(state: RobotState) -> OdometryEstimate:
 
 def odometry_sensor(world: ServedWorld, robot: Robot) -> int | None:
     """Return the index of the sensor that a robot's odometry comes from; None: it is the truth."""
+    # A robot that a policy drives is not the clients': its sensors are not read here.
     if world.robots.get(robot.slot) is not robot:
         return None
     sensors = enumerate(robot.suite.sensors)
@@ -106,6 +107,7 @@ def drift_of(state: RobotState, estimate: OdometryEstimate) -> tuple[np.ndarray,
         state: True state of the robot.
         estimate: Its odometry at the same moment.
     """
+    # Map to odom is the true pose after the inverse of the estimate, as REP 105 places the drift.
     w, x, y, z = np.asarray(estimate.quat, float)
     pos: list[Any] = estimate.pos.tolist()
     turn = quat_times(list(np.asarray(state.quat, float)), (w, -x, -y, -z))
@@ -136,6 +138,7 @@ def read_twist(message: object) -> Velocity:
     Raises:
         UsageError: It is no Twist, or a number is not finite.
     """
+    # One subscription takes both kinds: Nav2 and newer controllers send TwistStamped.
     whole = json_object(message) or {}
     if "twist" in whole:
         message = whole["twist"]
@@ -172,6 +175,7 @@ def drive_keys(robot: RobotSpec, velocity: Velocity) -> dict[str, float]:
     """
     drive = robot.drive
     if isinstance(drive, SkidSteer):
+        # The lever, where there is one: skidding wheels turn as if they stood further apart.
         half = velocity.turn * (drive.lever or robot.wheel_separation) / 2
         sides = velocity.ahead - half, velocity.ahead + half
         return {"Left": sides[0] / drive.radius, "Right": sides[1] / drive.radius}
@@ -192,6 +196,7 @@ def drive_keys(robot: RobotSpec, velocity: Velocity) -> dict[str, float]:
 
 def _car_keys(drive: Ackermann, velocity: Velocity) -> dict[str, float]:
     """Return speed and angle of the bicycle model of the car; a standing car cannot turn."""
+    # Not ahead == 0: a curve of next to no speed would be steered at full lock.
     moves = abs(velocity.ahead) > STANDS
     angle = math.atan(velocity.turn / velocity.ahead * drive.wheel_base) if moves else 0.0
     front = max(-drive.max_front_steer, min(drive.max_front_steer, angle))
@@ -421,6 +426,7 @@ class TrajectoryRun:
         time = min(max(now - self.start, 0.0), float(times[-1]))
         after = min(max(int(np.searchsorted(times, time, side="right")), 1), len(times) - 1)
         span = float(times[after] - times[after - 1])
+        # A first point at time 0 leaves no span: its positions hold at once.
         share = (time - float(times[after - 1])) / span if span > 0.0 else 1.0
         low, high = knots[after - 1], knots[after]
         values = low + share * (high - low)
@@ -457,6 +463,7 @@ def read_trajectory(message: object, plan: KinematicTree) -> JointTrajectory | N
     if times[0] < 0.0 or (np.diff(times) <= 0.0).any():
         raise UsageError("time_from_start of a trajectory's points must rise, from 0 on")
     positions = np.array([_numbers(point, "positions", len(joints)) for point in read])
+    # All or none: a cubic needs the velocities at both of its ends.
     has_speeds = all(point.get("velocities") for point in read)
     speeds = np.array([_numbers(point, "velocities", len(joints)) for point in read]) if has_speeds else None
     header = json_object(whole.get("header")) or {}
@@ -482,6 +489,7 @@ def _list(message: RosMessage, key: str) -> Sequence[Any]:
 def _numbers(point: Mapping[str, Any], key: str, count: int) -> list[float]:
     values = point.get(key, [])
     items = cast(list[Any], values) if isinstance(values, list) else []
+    # By type, as a bool is an int in Python.
     if len(items) != count or not all(type(one) in (int, float) and math.isfinite(one) for one in items):
         raise UsageError(f"{key} of a trajectory's point are {count} finite numbers, one for each joint")
     return [float(one) for one in items]
@@ -490,7 +498,9 @@ def _numbers(point: Mapping[str, Any], key: str, count: int) -> list[float]:
 def _seconds(time: object) -> float:
     """Return a time or duration of either version [s]; 0 without one."""
     parts = json_object(time) or {}
+    # ROS 1 has secs and nsecs, ROS 2 sec and nanosec.
     whole, rest = parts.get("sec", parts.get("secs", 0)), parts.get("nanosec", parts.get("nsecs", 0))
+    # By type, as a bool is an int in Python.
     if type(whole) is not int or type(rest) is not int:
         raise UsageError("a time has whole numbers sec and nanosec")
     return whole + rest * 1e-9

@@ -54,6 +54,7 @@ def driver(robot: RobotSpec) -> Driver:
             jnp.stack([pace * ahead - turning * turn, pace * ahead + turning * turn])
         )
     if isinstance(drive, Ackermann):
+        # Rear wheels turn the other way, for a tighter curve.
         steers = np.array([1.0] + [-1.0] * (drive.max_rear_steer > 0), np.float32)
         return lambda ahead, turn: jnp.concatenate([pace * ahead[None], turn * steers])
     if isinstance(drive, RotaryWing):
@@ -66,6 +67,7 @@ def driver(robot: RobotSpec) -> Driver:
 
 
 def _fitted(action: jax.Array) -> jax.Array:
+    # Both sides alike, or the curve would change where one is beyond its limit.
     return action / jnp.maximum(jnp.abs(action).max(), 1.0)
 
 
@@ -73,6 +75,7 @@ def obstacles(seen: jax.Array, robot: RobotSpec, kinds: tuple[str, ...]) -> jax.
     """Return the points that range readings (n,) mean, in the robot's axes [m] (n, 2); none: far away."""
     origin, angle = range_lines(robot, kinds)
     along = np.stack([np.cos(angle), np.sin(angle)], -1)
+    # A reading of 1 means nothing was met.
     return jnp.where(seen[:, None] < 1.0, origin + MAX_RANGE * seen[:, None] * along, NO_OBSTACLE_DISTANCE)
 
 
@@ -99,8 +102,10 @@ def choose_direction(lengths: jax.Array, wanted: jax.Array, side: jax.Array) -> 
             first one to the right ().
     """
     off = wrap_angle(ANGLES - wanted)
+    # A little is added, as rounding would make the wanted direction itself the last one round.
     around = jnp.mod(side * off + 1e-3, 2 * jnp.pi)
     cost = jnp.where(side == 0, jnp.abs(off), around)
+    # Blocked ones only where all are blocked, and then the longest of them.
     best = jnp.argmin(
         cost + 100.0 * (lengths < BLOCKED_DISTANCE) - 1e-3 * jnp.minimum(lengths, BLOCKED_DISTANCE)
     )
@@ -158,6 +163,7 @@ def bug_action(
     straight, free = choose_direction(lengths, bearing, jnp.zeros(()))
     off = wrap_angle(straight - bearing)
     barred = jnp.abs(off) > BLOCKED_ANGLE
+    # Nearer than where the wall began: else it could follow the same wall for ever.
     leave = (distance < carry.best - LEAVE_MARGIN) & ~barred
     along = (carry.side != 0) & ~leave
     begins = ~along & barred
@@ -221,6 +227,7 @@ def roam_action(
     open_left, open_right = ((reach * ((np.sin(ANGLES) * side) > 0.3)).sum() for side in (1.0, -1.0))
     better = jnp.where(open_left > open_right, 1.0, -1.0)
     ends = front < jnp.where(turning == 0, STOP, GO)
+    # It keeps its side while it turns, or it would swing between two walls.
     turning = jnp.where(ends, jnp.where(turning == 0, better, turning), 0.0)
     push = jnp.maximum(KEEP_OFF - right, 0.0) - jnp.maximum(KEEP_OFF - left, 0.0)
     ahead = jnp.clip(front / SLOW_AHEAD, 0.25, 1.0)

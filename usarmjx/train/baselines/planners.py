@@ -144,6 +144,7 @@ def _chained(seen: jax.Array, robots: int, steps: int) -> jax.Array:
     action = frontier_action(seen, steps)
     slot = jnp.round(seen[..., 7 + SECTOR_COUNT] * robots).astype(jnp.int32)
     powers = seen[..., -(robots - 1) :]
+    # Powers are of the other robots in order, so the one before has this slot less 1.
     before = jnp.take_along_axis(powers, slot[..., None] - 1, -1)[..., 0]
     age = seen[..., -robots]
     go = jnp.where(age > HOMING_AGE, 1.0, jnp.clip((before - STOP) / (SLOW_MARGIN - STOP), 0.0, 1.0))
@@ -174,6 +175,7 @@ def chain_goal(seen: Array, square: float) -> jax.Array:
     goals = seen[..., FIRST_GOAL:FIRST_MASK].reshape(*seen.shape[:-1], GOALS, GOAL_NUMBERS)
     away = goals[..., 4] * FAR_SCALE / square
     cost = LENGTH_SCALE * goals[..., 2] - OUTWARD_WORTH * away
+    # Frontiers only: the first choices are the base and robots.
     valid = (seen[..., -GOALS:] > 0.5) & (np.arange(GOALS) > MATES)
     cost = jnp.where(valid, cost, jnp.inf)
     outward = jnp.where(valid.any(-1), cost.argmin(-1), HOLD)
@@ -229,6 +231,7 @@ def meeting_goal(seen: Array, square: float) -> jax.Array:
     explored = chosen_goal(seen, square, report=False)
     left, seconds, news = seen[..., 0], TIME_SCALE * seen[..., 1], NEWS_SCALE * seen[..., 5]
     home = seen[..., FIRST_GOAL : FIRST_GOAL + GOAL_NUMBERS]
+    # The episode's length is not observed, only the time left and its share.
     whole = seconds / jnp.maximum(left, 1e-6)
     until = seconds[..., None] - whole[..., None] * (1.0 - np.array(MEETINGS, np.float32))
     since = jnp.where(until > 0.0, jnp.inf, -until).min(-1)

@@ -162,6 +162,7 @@ BACKWARD = """
 
 def native_code(code: str, units: int) -> str:
     """Return native code for a number of units of memory."""
+    # A thread for each number of the three gates.
     threads = 3 * units
     words = {"THREADS": str(threads), "UNITS": str(units), "ROWS": str(ROWS)}
     for word, value in words.items():

@@ -266,12 +266,15 @@ def walk_down(
         for k in range(9):
             there_i = i + k // 3 - 1
             there_j = j + k % 3 - 1
+            # Of the nine, numbered by rows, the corners have even numbers, and the middle, which is left out
+            # below.
             cost = wp.where(k % 2 == 0, SLANTING_STEP, 1.0)
             height = _height(far, first, there_i, there_j, rows, columns) + cost
             if k != 4 and height < best:
                 best = height
                 next_i = there_i
                 next_j = there_j
+        # Where nothing is lower the way has ended: the last square repeats.
         if best <= _height(far, first, i, j, rows, columns) + TOLERANCE:
             i = next_i
             j = next_j

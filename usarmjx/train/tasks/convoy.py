@@ -237,6 +237,7 @@ class Convoy(Task):
         """The arena, with start poses in the lane, the first one in front."""
         starts: list[StartPose] = []
         for i in range(self.count):
+            # The first start is the one in front.
             along = jnp.float32(10.0 + self.spacing * (self.count - i))
             (x, y), yaw = np.asarray(self.path.position(along)), float(self.path.heading(along))
             at = (float(x), float(y), START_ELEVATION)
@@ -317,6 +318,7 @@ class Convoy(Task):
         period = self.repeat * view.scene.physics.period
         here, left = self.path.nearest(view.robots(0).pos[:, :2])
         length = self.path.length
+        # The shorter way round: at the lane's beginning the distance jumps by its length.
         moved = jnp.mod(here - memory.arc_length + length / 2, length) - length / 2
         along, speed = memory.arc_length + moved, moved / period
         gap = self.gaps(along, memory.ahead)

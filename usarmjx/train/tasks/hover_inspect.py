@@ -150,6 +150,7 @@ class HoverInspect(Task):
         walls += [block((x, 0.0), (THICK, WIDE, HIGH), surface="wall") for x in ends]
         for x, y, z in self.windows.tolist():
             walls += _wall_with_window(x, y, z)
+        # Always the same ones: the arena is built several times and must not differ.
         draw = np.random.default_rng(0)
         places = draw.uniform((-1.2, -1.5, -np.pi), (0.8, 1.5, np.pi), (32, 3)).round(3)
         return ArenaSpec(
@@ -216,6 +217,7 @@ class HoverInspect(Task):
         return jnp.where(there, window + side * PASSED_DISTANCE * np.array([1, 0, 0], np.float32), point)
 
     def _present(self, memory: InspectMemory) -> jax.Array:
+        # The last one stays after all were looked at: the index would be beyond it.
         return memory.points[jnp.minimum(memory.inspected_count, self.rooms - 1)]
 
     def observe(self, view: TaskView, memory: InspectMemory) -> tuple[jax.Array, ...]:
@@ -247,11 +249,13 @@ class HoverInspect(Task):
         gap = point - pos
         far = jnp.linalg.norm(gap)
         ahead = jnp.dot(gap, axis) >= np.cos(self.view) * far
+        # Rooms stand in a row of equal lengths, so the rounded share is a room's number.
         same = jnp.round(pos[0] / LONG) == jnp.round(point[0] / LONG)
         held = jnp.where(ahead & same & (far <= self.near), memory.dwell_steps + 1, 0)
         found = held >= self.dwell
         seen = memory.inspected_count + found
         touched = (wall_clearance(view) <= self.touch) | (pos[2] > HIGH)
+        # By the target before it changes: the way to the next point is no loss.
         nearer = memory.distance - jnp.linalg.norm(memory.target - pos)
         reward = nearer + self.bonus * found - self.haste - self.price * touched
         memory = memory.replace(inspected_count=seen, dwell_steps=jnp.where(found, 0, held))

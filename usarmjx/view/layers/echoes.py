@@ -99,6 +99,7 @@ class _Scan:
                 self._fan.set(start[:0], self._faces[:0])
             return
         hit = (ranges > 0) & (ranges < self._max_range)
+        # Beams without an echo are cut short, or the fan would cover the whole arena.
         drawn = np.where(hit, ranges, np.minimum(ranges, LONGEST_BEAM))
         ends = start + drawn[:, None] * (self._directions @ mat.T)
         self._points.set(ends[hit], self._rgb)

@@ -54,6 +54,7 @@ class SkyLayer(NodeLayer):
     def begin(self, scene: viser.SceneApi, drawing: Drawing, prefix: str) -> None:
         """Start with a new drawing; if only robots have joined or left, the light stays."""
         lamps = np.asarray(drawing.lamp_rgb).tobytes()
+        # By contents: each drawing is a new object, although its light is the same.
         key = id(scene), prefix, np.asarray(drawing.extent).tobytes(), drawing.floor, lamps, self.alone
         if self._top is None or key != self._key:
             super().begin(scene, drawing, prefix)
@@ -158,6 +159,7 @@ class LampLayer(NodeLayer):
         brightness = rgb.max(-1)
         if not self.alone:  # the neighbours' lamps would be dark: then none shines
             return
+        # The brightest first, as each light takes time for every surface.
         for lamp in np.argsort(-brightness, kind="stable")[:MOST_LAMPS].tolist():
             red, green, blue = (255 * rgb[lamp] / brightness[lamp]).astype(int).tolist()
             self.scene.add_light_point(

@@ -66,14 +66,18 @@ class ScanMap:
         """
         every = -(-len(ends) // MOST_BEAMS)
         along = (ends - start)[::every]
+        # A beam of no length has no direction, and passes no square.
         length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-6)
         unit = along / length[:, None]
+        # A square short of the end, which is the wall's; steps beyond count at the start, free anyway.
         passed = np.where(self._steps < length[:, None] - self.cell, self._steps, 0.0)
         x, y = (start[axis] + passed * unit[:, axis, None] for axis in range(2))
         free = self._mask(x, y)
         wall = self._mask(ends[hit, 0], ends[hit, 1])
         self.evidence += wall
+        # Beams pass close by walls that others hit: a hit counts more.
         self.evidence -= free & ~wall
+        # Limited, so that what moves away is forgotten, and 8 bits are enough.
         np.clip(self.evidence, -MOST_EVIDENCE, MOST_EVIDENCE, out=self.evidence)
 
     @property
@@ -84,6 +88,7 @@ class ScanMap:
     def _mask(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the squares with points in them (i, j); those outside fall into a cut-off border."""
         rows, columns = self.evidence.shape[0], self.evidence.shape[1]
+        # Shifted by a border of one square, where all that is outside ends up.
         i = np.clip((x - self.low[0]) / self.cell + 1.5, 0.5, rows + 1.5).astype(np.int32)
         j = np.clip((y - self.low[1]) / self.cell + 1.5, 0.5, columns + 1.5).astype(np.int32)
         mask = np.zeros((rows + 2, columns + 2), bool)
@@ -138,6 +143,7 @@ class MapLayer(NodeLayer):
             del self._waiting[number]
             rows, reading = self._held.rows[number], self._held.readings[number]
             mat = self._held.mat[rows.start]
+            # A leaning robot's beams end at the floor, which is no wall.
             if len(reading) and mat[2, 2] > math.cos(LEVEL):
                 hit = (reading > 0) & (reading < self._held.sensors[number].settings[0].max_range)
                 start = self._held.pos[rows.start, :2]
@@ -169,4 +175,5 @@ class MapLayer(NodeLayer):
 def merged(maps: list[np.ndarray]) -> np.ndarray:
     """Return the merged map (i, j) of several robots' maps of the same squares."""
     ranks = np.max(RANKS[np.stack(maps)], 0)
+    # The inverse of RANKS: back from ranks to states.
     return np.argsort(RANKS)[ranks]

@@ -62,11 +62,13 @@ class RadioLayer(NodeLayer):
             self._write([], np.zeros((0, 3)))
             return
         antennas = self._antennas(drawing, frame, slots)
+        # Each pair once.
         low, high = np.triu_indices(len(slots), 1)
         a, b = slots[low], slots[high]
         holds = np.asarray(links.in_range)[a, b]
         low, high, a, b = low[holds], high[holds], a[holds], b[holds]
         power, walls = np.asarray(links.power)[a, b], np.asarray(links.walls)[a, b]
+        # A least span, or a single weak link would be drawn as the best.
         best = max(float(power.max(initial=-np.inf)), drawing.cutoff + LEAST_SPAN)
         rgb = scale_colors((power - drawing.cutoff) / (best - drawing.cutoff))
         start, end = antennas[low], antennas[high]
@@ -74,6 +76,7 @@ class RadioLayer(NodeLayer):
         along = (end - start)[link]
         parts = start[link, None] + share[..., None] * along[:, None]
         self._lines.set(parts, rgb[link])
+        # Each text is an element of the page.
         few = len(power) <= MOST_LABELS
         texts = [_text(p, w) for p, w in zip(power.tolist(), walls.tolist(), strict=True)] if few else []
         self._write(texts, (start + end) / 2)
