@@ -61,6 +61,7 @@ def leave_out_robots(path: Path, spec: Any) -> list[str]:  # noqa: ANN401
         path: The file, for the notes.
         spec: The scene, which is changed.
     """
+    # Targets are names of one kind: a site may have the name of a joint.
     driven = {(int(one.trntype), one.target) for one in spec.actuators}
     driven |= _driven_by_tendons(spec)
     robots: list[Any] = []
@@ -72,6 +73,7 @@ def leave_out_robots(path: Path, spec: Any) -> list[str]:  # noqa: ANN401
         named |= {(int(kind), site.name) for site in sites for kind in SITE_TRANSMISSIONS}
         named |= {(int(TRANSMISSIONS.mjTRN_BODY), part.name) for part in parts}
         free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in joints)
+        # A single driven hinge on a fixed base is a door with an opener.
         if driven & named and (free or len(joints) > 1):
             robots.append(body)
     if not robots:
@@ -105,6 +107,7 @@ def _driven_by_tendons(spec: Any) -> set[tuple[int, str]]:  # noqa: ANN401
 def _subtree(body: Any) -> list[Any]:  # noqa: ANN401
     """Return a body and all below it."""
     found = [body]
+    # The list grows while it is walked: bodies below those that were added come too.
     for one in found:
         found += list(one.bodies)
     return found
@@ -116,7 +119,9 @@ def _delete_with_references(spec: Any, body: Any) -> None:  # noqa: ANN401
     gone = {part.name for part in parts}
     for part in parts:
         gone |= {one.name for kind in (part.joints, part.sites, part.geoms, part.cameras) for one in kind}
+    # Elements without names all have the empty one; references that are not used have it too.
     gone.discard("")
+    # Tendons before actuators before sensors: each kind may refer to those before it.
     tendons = [one for one in spec.tendons if _wrapped(one) & gone]
     gone |= {one.name for one in tendons if one.name}
     actuators = [one for one in spec.actuators if one.target in gone]
@@ -168,6 +173,7 @@ def door_of(
     """
     if abs(hinge.axis[2]) < 1 - AXIS_TOLERANCE:
         raise ArenaFileError(f"body {name!r}: its hinge is not upright; a door's is (axis 0 0 1)")
+    # Any of the box's axes may be the upright one: files turn boxes as they like.
     up = int(np.abs(pose.mat[2]).argmax())
     if abs(pose.mat[2, up]) < 1 - AXIS_TOLERANCE:
         raise ArenaFileError(f"body {name!r}: its box does not stand upright; a door does")
@@ -177,14 +183,17 @@ def door_of(
     offset = pose.pos[:2] - hinge.anchor[:2]
     along = pose.mat[:2, long]
     reach, aside = float(along @ offset), float(pose.mat[:2, thin] @ offset)
+    # A door's pose has its leaf ahead of the hinge along x; the box's axis may point the other way.
     if reach < 0:
         along, reach = -along, -reach
     if abs(reach - half[long]) > HINGE_OFFSET_TOLERANCE or abs(aside) > HINGE_OFFSET_TOLERANCE + half[thin]:
         raise ArenaFileError(f"body {name!r}: its hinge is not at a narrow side of its box; a door's is")
     low, high = hinge.limits or FULL_TURN
+    # About the opposite axis angles change their sign, and the lowest becomes the highest.
     if hinge.axis[2] < 0:
         low, high = -high, -low
     x, y = hinge.anchor[:2].tolist()
+    # `Door` leaves a gap below its leaf: with the size below, the leaf is where the file has it.
     foot = float(pose.pos[2] - half[up]) - DOOR_GAP
     red, green, blue, alpha = rgba
     return Door(
@@ -230,6 +239,7 @@ class MeshPieces:
             try:
                 self._known[key] = convex_pieces(*_mesh(self._model, key[0]), "", hull=hull)
             except ArenaFileError as error:
+                # A mesh that fails costs as much as one that does not: keep that too.
                 self._known[key] = str(error)
         found = self._known[key]
         if isinstance(found, str):
@@ -309,6 +319,7 @@ def _terrain(model: mujoco.MjModel, number: int, like: Shape) -> Shape:
         int(values[number]) for values in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr)
     )
     x, y, top, base = model.hfield_size[number].tolist()
+    # MuJoCo scales heights to 0..1; the largest height is in the size.
     shares = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
     heights = HeightField(shares.astype(float) * top)
     return replace(like, kind="hfield", size=(x, y, base), heights=heights)
@@ -328,10 +339,12 @@ def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[tuple[Shape, ...],
     body.add_freejoint()
     for i, shape in enumerate(shapes):
         add_geom(spec, body, str(i), shape)
+    # MuJoCo refuses to compile a moving body without mass.
     if sum(shape.mass for shape in shapes) > 0:
         model = spec.compile()
         turn = mat_of(model.body_iquat[1])
         tensor = turn @ np.diag(model.body_inertia[1]) @ turn.T
+        # A length of the body's own: a tolerance in metres would be too wide for small bodies.
         reach = np.sqrt(np.trace(whole.tensor) / whole.mass)
         if (
             abs(model.body_mass[1] - whole.mass) <= INERTIA_TOLERANCE * whole.mass
@@ -361,6 +374,7 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
         ArenaFileError: An unreadable file, or content that an arena cannot have; names it.
     """
     check_model_size(path)
+    # In a process of its own first: some files crash MuJoCo's parser, which would end this one.
     if wrong := try_model(path):
         raise ArenaFileError(f"{path}: does not read as MJCF: {wrong}")
     spec = mujoco.MjSpec.from_file(str(path))
@@ -392,6 +406,7 @@ class _MjcfReader:
         self._path, self._model, self._surface = path, model, surface
         self._described = {geom.id: geom for geom in spec.geoms}
         self._data = mujoco.MjData(model)
+        # Not `mj_forward`: poses need neither contacts nor forces, which are slow in large scenes.
         mujoco.mj_kinematics(model, self._data)
         self._warnings = _ignored(path, spec)
         self._meshes = MeshPieces(model)

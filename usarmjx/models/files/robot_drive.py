@@ -87,6 +87,7 @@ class BodyTree:
         if parent not in self._owner:
             return  # under the world beside the chassis
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        # Balls and free joints have no single position, which a motor and its limits need.
         allowed = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         held = [joint for joint in joints if model.jnt_type[joint] not in allowed]
         if held:
@@ -106,9 +107,11 @@ class BodyTree:
             if not abs(float(np.linalg.norm(model.jnt_axis[joint])) - 1) < AXIS_TOLERANCE:
                 raise SpecError(f"{self._place(joint)}: joint {model.joint(joint).name!r} has no axis")
             anchor = Pose(model.jnt_pos[joint], np.eye(3))
+            # Numbers above all bodies' cannot meet those of bodies.
             part = body if joint == joints[-1] else model.nbody + joint
             self._joint[part] = joint
             self._above[part] = holder, pose.then(anchor)
+            # A part's axes have their origin at its joint's anchor, a body's at the body: go back there.
             holder, pose = part, Pose(-model.jnt_pos[joint], np.eye(3))
         self._owner[body], self._frame[body] = body, pose
 
@@ -152,6 +155,7 @@ class BodyTree:
         joint = self.joint_of(owner)
         if int(self.model.jnt_type[joint]) != int(mujoco.mjtJoint.mjJNT_HINGE):
             return False
+        # Some files give wheels wide limits instead of none.
         return not self.model.jnt_limited[joint] or np.ptp(self.model.jnt_range[joint]) >= UNBOUNDED_TURN
 
     def touching_geoms(self, owner: int) -> list[int]:
@@ -170,6 +174,8 @@ class BodyTree:
         name, (holder, at) = self.name(owner), self._above[owner]
         limits = None
         if model.jnt_limited[joint]:
+            # MuJoCo's ranges count from the joint's zero, ours from the pose in which the file describes it
+            # (`ref`).
             low, high = (model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).tolist()
             limits = (low, high)
         hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -310,6 +316,7 @@ class BodyTree:
 def frame_along(axis: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) whose z axis is the given unit vector (3,)."""
     axis = np.asarray(axis, float)
+    # The axis that is least parallel: the cross product cannot vanish.
     aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
     x = np.cross(aside, axis)
     x /= np.linalg.norm(x)
@@ -431,6 +438,7 @@ def lowest_point_of_part(tree: BodyTree, owner: int, data: mujoco.MjData) -> flo
             reach = float(size[0])
         elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
             upright = abs(float(turn[2, 2]))
+            # A tilted wheel does not reach as low as the box around it.
             reach = float(size[0]) * math.sqrt(max(0.0, 1 - upright**2)) + float(size[1]) * upright
         elif kind == mujoco.mjtGeom.mjGEOM_MESH:
             mesh = model.geom_dataid[geom]
@@ -471,9 +479,11 @@ def find_drive(
         part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS and part.rolls and not part.is_caster
     ]
     moved = [part for part in wheels if driven is None or part.joint in driven]
+    # Left is +y here: these are the file's axes, not USARSim's.
     left = [part.joint for part in moved if part.at[1] > MIDDLE]
     right = [part.joint for part in moved if part.at[1] < -MIDDLE]
     steering = _steering_joints(tree, {part.owner: part for part in wheels})
+    # All wheels on one axle: turning these would not steer.
     has_axles = wheels and np.ptp([part.at[0] for part in wheels]) > MIDDLE
     if left and right and steering and has_axles:
         return _car(wheels, set(left + right), steering, speeds, math.inf)
@@ -501,6 +511,7 @@ def _stated_drive(
         source.notes.append(f"{stated.place}: drive is left out: {said}")
         return None
     if stated.kind == "ackermann":
+        # Without the tests for roundness and ground: the plugin says which wheels drive.
         wheels = [part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS and not part.is_caster]
         steering = _steering_joints(tree, {part.owner: part for part in wheels})
         if steering:
@@ -518,6 +529,7 @@ def _skid(
 ) -> SkidSteer:
     wheels = [*left, *right]
     radius = next((parts[name].radius for name in wheels if parts[name].radius > 0), stated.radius)
+    # The slowest wheel decides: a faster command would make the robot turn instead of going straight.
     spins = [speeds[name] for name in wheels if name in speeds]
     if math.isfinite(stated.max_speed) and radius > 0:
         spins.append(stated.max_speed / radius)
@@ -607,9 +619,11 @@ def rotor_drive(model: mujoco.MjModel, root: int, rotors: list[int], size: np.nd
             else np.inf
         )
         lift += abs(float(model.actuator_gear[rotor, 2])) * float(model.actuator_gainprm[rotor, 0]) * most
+    # Without limits, or with controls that are no newtons, the file does not tell the thrust.
     if not np.isfinite(lift) or lift <= mass * GRAVITY:
         lift = THRUST_RATIO * mass * GRAVITY
     x, y, z = size.tolist()
+    # The drive divides by it, and a point mass in a file has none.
     inertia = np.maximum(model.body_inertia[root], 1e-9).tolist()
     arm = float(np.hypot(x, y)) / 4
     return RotaryWing(
@@ -633,6 +647,7 @@ def borne_inertias(tree: BodyTree) -> dict[int, float]:
     lows = {owner: lowest_point_of_part(tree, owner, data) for owner in tree.owners}
     ground = min(lows.values())
     feet = {owner for owner, low in lows.items() if low <= ground + MAX_LIFT}
+    # The ground holds it up: its joints carry arms and tools only.
     if tree.owners[0] in feet:
         return {}
     share = float(model.body_subtreemass[tree.owners[0]]) / len(feet)

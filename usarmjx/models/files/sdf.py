@@ -108,6 +108,7 @@ class _SdfReader:
         world = self._world.element
         self._drop(world, WORLD_CHILDREN, "settings")
         self._drop_all(world.all("plugin"), "plugins")
+        # Before models are added: it changes their poses.
         self._restore_state(world)
         for light in world.all("light"):
             self._add_light(light, read_pose(light.first("pose")))
@@ -130,6 +131,7 @@ class _SdfReader:
             shapes=tuple(self._shapes),
             loose=loose,
             doors=tuple(self._doors),
+            # A model alone says nothing about the ground; a world without a plane has none.
             floor=None if self._is_model else self._solids.floors > 0,
             starts=starts,
             lights=() if self._day else tuple(self._lights),
@@ -167,6 +169,7 @@ class _SdfReader:
         models = {model.name: model for model in self._world.models}
         for saved in state.all("model"):
             model, pose = models.get(saved.get("name", "")), saved.first("pose")
+            # Poses of the state count from the world, whatever frame the model's own pose counts from.
             if model is not None and pose is not None:
                 model.pose, model.placement = pose, ""
             scale = saved.first("scale")
@@ -205,11 +208,13 @@ class _SdfReader:
                 self._notes.append(
                     f"{joint.element.place}: joint {joint.name!r} has an end that is no link: left out"
                 )
+            # Old worlds weld links by a hinge without play.
             elif joint.element.get("type") == "fixed" or joint.limits == (0.0, 0.0):
                 _join(owner, fixed, parent, child)
             else:
                 hinges.append(replace(joint, parent=parent or "", child=child))
         frames = self._without_doors(hinges, frames, owner, fixed)
+        # Only now: joints that are held above may have tied more links to what is fixed.
         stuck = {_root(owner, name) for name in fixed}
         groups: dict[str, list[SdfLink]] = {}
         for name, found in frames.items():
@@ -234,6 +239,7 @@ class _SdfReader:
             fixed: Links that are joined to the world; joints that are held add to it.
         """
         waiting = [*hinges]
+        # Anew in each round: a joint that is held fixes its child, on which others may hang.
         while (joint := next((one for one in waiting if _stands(one, owner, fixed)), None)) is not None:
             waiting.remove(joint)
             leaf = _hanging(joint, waiting, owner)
@@ -264,6 +270,7 @@ class _SdfReader:
         for found in links:
             own = self._link_shapes(found, inverse(base).then(found.pose), "loose")
             weight = self._mass(found.link)
+            # By volume, as if of one density: what is only seen weighs nothing.
             volumes = [volume_of(shape) if shape.surface != FIXTURE else 0.0 for shape in own]
             whole = sum(volumes)
             shapes += [
@@ -277,6 +284,7 @@ class _SdfReader:
                 f"{model.place}: model {model.path!r} has nothing that can be touched: left out"
             )
             return
+        # Solids that are refused or only seen weigh too, on those that can be touched.
         shapes = [replace(shape, mass=shape.mass * max(mass, MIN_MASS) / held) for shape in shapes]
         name = self._free_name(model.path if len(links) == 1 else links[0].name)
         inertia = self._inertia(links, base)
@@ -309,8 +317,10 @@ class _SdfReader:
             usual = {"ixx": 1.0, "iyy": 1.0, "izz": 1.0, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
             xx, yy, zz, xy, xz, yz = (inertial.number(f"inertia/{key}", one) for key, one in usual.items())
             tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            # The solver ends with an error of its own on numbers that are not finite.
             values = np.linalg.eigvalsh(tensor) if np.isfinite(tensor).all() else np.full(3, -1.0)
             mass = self._mass(found.link)
+            # MuJoCo refuses moments of which one exceeds the sum of the others: no body has such.
             if values[0] <= 0 or values[2] > (values[0] + values[1]) * (1 + BALANCE_TOLERANCE) or mass <= 0:
                 self._notes.append(
                     f"{inertial.place}: link {found.link.get('name')!r} has the inertia of no body: that of "
@@ -359,6 +369,7 @@ class _SdfReader:
         boxes = [one for one in solids if one[1].kind == "box"]
         if not boxes:
             return None
+        # The leaf is the largest; handles are small.
         centre, box = max(boxes, key=lambda one: volume_of(one[1]))
         others = [shape for _, shape in solids if shape is not box]
         if any(np.ptp(corners_of(shape), axis=0).max() > SMALL for shape in others):
@@ -371,6 +382,7 @@ class _SdfReader:
         axis, limits = joint.axis, joint.limits
         hinge = Hinge(
             anchor=joint.frame.pos,
+            # An axis of zeros stays one, which `door_of` refuses as not upright.
             axis=axis / max(float(np.linalg.norm(axis)), 1e-9),
             limits=limits if limits is not None and limits[0] < limits[1] else None,
             friction=max(joint.element.number("axis/dynamics/damping", 0.0), 0.0),
@@ -393,6 +405,7 @@ class _SdfReader:
         """Return the loose objects, and fix the heaviest ones if they are too many."""
         if len(self._loose) <= MAX_SDF_LOOSE:
             return tuple(thing for _, thing, _ in self._loose)
+        # Robots are least likely to move the heaviest.
         order = sorted(range(len(self._loose)), key=lambda i: self._loose[i][0])
         kept = set(order[:MAX_SDF_LOOSE])
         fixed = [one for i, one in enumerate(self._loose) if i not in kept]

@@ -197,6 +197,8 @@ class _Parser:
         """Yield the tokens of a file, with those of a file in the place of its `include`."""
         if path.resolve() in above or len(above) > MAX_STAGE_DEPTH:
             raise ArenaFileError(f"{path} includes itself")
+        # Never fails: old files have names in any code page, and only quoted texts and comments have such
+        # letters.
         text = read_bytes(path, refusal=ArenaFileError).decode("latin-1")
         include: StageToken | None = None
         for token in _tokens(path, text):
@@ -232,6 +234,7 @@ class _Parser:
         """Read properties and models up to the closing bracket, or up to the end at depth 0."""
         found = _Body()
         while (token := self._take()) is not None:
+            # The kind too: a text in quotes may be a bracket.
             if token.text == ")" and token.kind == "sign" and depth:
                 return found
             if token.kind != "word":
@@ -279,6 +282,7 @@ class _Parser:
             values.append(_value(first))
         if not values:
             raise name.error(f"{name.text} has no value")
+        # Of the file that has the line, which may be an included one.
         folder = Path(name.place.rpartition(":")[0]).parent
         return StageProperty(name=name.text, values=tuple(values), place=name.place, folder=folder)
 
@@ -288,6 +292,7 @@ class _Parser:
         if self._models > MAX_STAGE_MODELS:
             raise token.error(f"more than {MAX_STAGE_MODELS} models")
         bodies, word, seen = [body], token.text, set[str]()
+        # `seen`: a definition may extend its own name, such as Stage's own type with other defaults.
         while word in self._definitions and word not in seen:
             seen.add(word)
             bodies.insert(0, self._definitions[word].body)
@@ -296,6 +301,7 @@ class _Parser:
             raise token.error(f"{token.text} is nested {depth} deep; at most {MAX_STAGE_DEPTH}")
         made = StageModel(kind=word, word=token.text, place=token.place)
         for one in bodies:
+            # Outermost first: what is nearer to the model overrides.
             made.properties |= {known.name: known for known in one.properties}
         made.children = [self.model(child, own, depth + 1) for one in bodies for child, own in one.models]
         return made
@@ -415,6 +421,7 @@ class _StageReader:
             self._shapes += [_placed(shape, centre) for shape in self._solids(model, size, like)]
             if model.number("gripper_return", 0) > 0 and len(self._shapes) > before:
                 self._notes.append(f"{model.place}: {model.word} can be gripped in Stage; it is fixed here")
+        # Stage puts models on top of those that hold them unless told otherwise.
         top = size[2] if model.number("stack_children", 1) else 0.0
         for child in model.children:
             if child.word != "block":
@@ -441,6 +448,7 @@ class _StageReader:
         found = model.numbers(name, (3, 4))
         if found is None:
             return StagePose()
+        # Three numbers are x, y, heading: the star then takes nothing.
         x, y, *z, heading = found
         length = self._length
         return StagePose(

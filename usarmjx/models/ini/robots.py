@@ -146,6 +146,7 @@ class _Translation:
     def file(self) -> IniFile:
         """Return the file in the manual's terms."""
         sections = [part for section in self._file.sections if (part := self._section(section)) is not None]
+        # A class of the file's own needs a base: here the later versions' class of the same name.
         for name, line in self._derived.items():
             base = replace(line, key="BaseClass", value=name, adds=False, index=None)
             sections.append(Section(f"USARBot.{name}", (base,)))
@@ -218,6 +219,7 @@ class _Translation:
             on_robot = key.lower() == "parent" and str(value).lower().startswith("usarbot.")
             if key.lower() != "itemclass" and not on_robot:
                 kept.append((key, value))
+        # Readers of items demand a name; the later versions go without.
         if line.value.get("ItemName") is None:
             kept.append(("ItemName", name))
         if ours == LATER_ITEMS["encoder"] and package.lower() == "usarsensor":
@@ -324,6 +326,7 @@ def _take_section(
 ) -> None:
     name = section.name[len(ROBOT_PREFIX) :]
     robot, end = _track_of(name, robots)
+    # Before all others: they need a first line to point at.
     if not section.lines and name not in robots:
         notes.add(section.removals[0].line, f"section [{section.name}] removes nothing")
     elif name in robots:
@@ -360,6 +363,7 @@ def _take_defaults(
         notes.add(lines[0], f"there is no {kind} yet: its settings are ignored")
         return
     given = read_settings(kind, [(line.key, line, line.value) for line in lines], settings, notes)
+    # A later file overrides single keys, not the whole section.
     merged = dict(found.defaults.get(kind, ())) | dict(given)
     found.defaults[kind] = tuple(merged.items())
     found.lines |= {(kind, line.key): line for line in lines}
@@ -369,9 +373,11 @@ def _take_orders(found: SortedSections, name: str, section: Section, units: Unit
     """Add one file's lines about one robot class."""
     first = section.lines[0] if section.lines else section.removals[0].line
     orders = found.robots.setdefault(name.lower(), RobotSection(name=name, first=first, units=units))
+    # Each file has its own scale; `bMountByUU` goes on from file to file.
     orders.units = replace(orders.units, uu_per_metre=units.uu_per_metre)
     if (by_uu := section.last("bMountByUU")) is not None:
         orders.units = replace(orders.units, by_uu=as_bool(by_uu, by_uu.value, "bMountByUU"))
+    # First: a file that clears a list fills it anew with its own lines.
     _take_removals(orders, section, notes)
     _take_lists(orders, section)
     joints = [line for line in section.lines if line.key.lower() in map(str.lower, JOINT_KEYS)]
@@ -411,6 +417,7 @@ def _take_lists(orders: RobotSection, section: Section) -> None:
     """Add one file's lists; a list whose lines all have `+` adds to the present one."""
     for key in LISTS:
         lines = section.get_all(key)
+        # One line without a plus begins the list anew.
         if lines and f"Add{key}" in ADDS and all(line.adds for line in lines):
             orders.lists.setdefault(f"Add{key}", []).extend((line, orders.units) for line in lines)
         elif lines:
@@ -491,6 +498,7 @@ def build_robots(
 ) -> LoadedRobots:
     """Return the changed and new robot classes of ini files; see `load_robots`."""
     notes = WarningLog()
+    # First of all: what follows knows the manual's names only.
     files = translated(files, robots.names(), notes)
     definitions = read_packages(files, notes)
     classes = read_classes(files, robots.names(), settings, notes)
@@ -505,6 +513,7 @@ def build_robots(
     )
     _leave_out_unknown(found, sources)
     builder = _Builder(found.robots, sources)
+    # Before tracks: their robots may be among those built here.
     built = {name: builder.build(name) for name in found.robots}
     for name, counts in found.tracks.items():
         before = built.get(name.lower()) or robots.get(name)
@@ -530,6 +539,7 @@ def _leave_out_unknown(found: SortedSections, sources: BuildContext) -> None:
     """
     known = set[str](name.lower() for name in sources.robots.names())
     waiting = {name: orders for name, orders in found.robots.items() if name not in known}
+    # Until nothing changes: a class may be based on one that stands further down.
     while ready := [name for name, orders in waiting.items() if orders.joints or _base_name(orders) in known]:
         known |= set(ready)
         waiting = {name: orders for name, orders in waiting.items() if name not in known}
@@ -589,6 +599,7 @@ class _Builder:
         known = ", ".join(robots.names())
         if line is not None:
             name = as_class(line, line.value, "BaseClass")
+            # Before it is looked up: the recursion would not end.
             if name.lower() in waiting:
                 fail(line, f"{name} is based on itself", "another class")
             if len(waiting) > MAX_BASE_CLASSES:

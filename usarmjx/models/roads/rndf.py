@@ -67,7 +67,10 @@ class RoadLines:
         if isinstance(source, Path) or "\n" not in source:
             self.file = text
             data = read_bounded(Path(source), MAX_ROAD_FILE_BYTES)
+            # Not `splitlines`, which breaks at form feeds too: numbers of lines would differ from an
+            # editor's.
             text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
+        # Checks of the whole know items, not lines: this leads from one to the other.
         self.fault_lines: dict[tuple[object, ...], int] = {}
         self.warnings: list[str] = []
         text = _without_comments(text)
@@ -102,6 +105,7 @@ class RoadLines:
     def fault(self, text: str, line: int | None = None) -> SpecError:
         """Return an error at a line, by default the next one; quotations are made printable and cut short."""
         short = text if len(text) <= MAX_MESSAGE_LENGTH else f"{text[:MAX_MESSAGE_LENGTH]}..."
+        # Files come from anywhere: control characters would reach the terminal.
         shown = "".join(letter if letter.isprintable() else "?" for letter in short)
         return SpecError(f"{self.file}:{self.line if line is None else line}: {shown}")
 
@@ -111,6 +115,7 @@ class RoadLines:
         self.warnings.append(warning)
         if len(self.warnings) <= MAX_WARNINGS:
             logger.warning("%s", warning)
+        # The list keeps all of them; a file of another kind would flood the log.
         elif len(self.warnings) == MAX_WARNINGS + 1:
             logger.warning("%s: more than %d warnings; the rest is left out", self.file, MAX_WARNINGS)
 
@@ -184,6 +189,7 @@ class RoadLines:
             value = float(word)
         except ValueError:
             value = math.nan
+        # In this form: comparisons with NaN are false, so it is refused as well.
         if not low <= value <= high:
             raise self.fault(f"{what} {_short(word)!r}; expected a number from {low:g} to {high:g}", line)
         return value
@@ -257,6 +263,7 @@ def _without_comments(text: str) -> str:
     parts: list[str] = []
     at = 0
     while (start := text.find("/*", at)) >= 0 and (end := text.find("*/", start + 2)) >= 0:
+        # Line breaks stay: errors name lines of the file. A blank keeps the words on both sides apart.
         parts += [text[at:start], "\n" * text.count("\n", start, end) or " "]
         at = end + 2
     return "".join([*parts, text[at:]])
@@ -383,6 +390,7 @@ def read_rndf(source: str | Path) -> RouteNetwork:
             lines.warn(f"num_{what} is missing")
         lines.count(len(found), counts.get(f"num_{what}"), what, lines.fault_lines.get(("behind", what)))
     for kind, numbers, start in (("segment", segments, 1), ("zone", zones, 1 + len(segments))):
+        # Only at the end of the file: blocks may be in any order.
         for number, expected in zip(sorted(numbers), range(start, start + len(numbers)), strict=True):
             if number != expected:
                 where = lines.fault_lines[kind, number]
@@ -555,7 +563,9 @@ def _zone(
     lines: RoadLines, segments: Mapping[int, RoadSegment], zones: dict[int, Zone], counts: Mapping[str, int]
 ) -> None:
     line = lines.line
+    # Zones go on with the numbers of the segments, so the largest one is known by both counts only.
     most = sum(counts.values()) if len(counts) == len(COUNTS) else None
+    # Segments' numbers are taken too: `M` of a point M.N.P may be either's.
     number = lines.next_number("zone", (), {**segments, **zones}, most)
     lines.fault_lines["zone", number] = line
     own: dict[str, int] = {}
@@ -564,6 +574,7 @@ def _zone(
     spots: dict[int, Spot] = {}
 
     def perimeter() -> None:
+        # The format numbers a zone's perimeter as its spot 0.
         lines.named("perimeter", number, 0)
         head = _Head(lines, (number, 0))
         head.read("num_perimeterpoints", "exit")
