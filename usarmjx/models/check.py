@@ -129,6 +129,7 @@ class GroundFinder:
         """Return height [m] and geom of the first touchable solid below a point in the world."""
         point, down = np.array(at), np.array([0.0, 0.0, -1.0])
         geom = np.zeros((1, 1), np.int32)
+        # Rays meet looks and victims too: go on below these.
         while (distance := mujoco.mj_ray(self._model, self._data, point, down, None, 1, -1, geom)) >= 0:
             point = point + down * distance
             hit = int(geom[0, 0])
@@ -154,6 +155,7 @@ class ArenaProbe:
     def __init__(self, arena: ArenaSpec, robot: RobotSpec) -> None:
         self._arena, self._robot = arena, robot
         spec = new_spec(arena, Physics())
+        # Compiled once with the robot: moving it is much faster than a model for each start.
         add_robot(spec, robot, "robot/", (0.0, 0.0, PARKED_HEIGHT))
         self._model = spec.compile()
         self._root = int(self._model.joint("robot/root").qposadr[0])
@@ -197,6 +199,7 @@ class ArenaProbe:
         """Yield faults of water."""
         for i, water in enumerate(self._arena.waters):
             x, y = ((a + b) / 2 for a, b in zip(water.low[:2], water.high[:2], strict=True))
+            # From a little above its bottom, which may be the ground itself.
             ground = self._ground((x, y, water.low[2] + RAY_STEP))
             if ground is None:
                 yield f"waters[{i}] has no ground under its middle: a body that sinks there sinks forever"
@@ -221,11 +224,13 @@ class ArenaProbe:
     def _inside(self, start: StartPose) -> dict[str, float]:
         """Return the solids that overlap the robot at a start pose, with their depths."""
         x, y, z = start.at
+        # Where the robot is put, not where the pose is: wheels on the ground under it.
         height = self._arena.floor + z - START_ELEVATION + kinematic_tree_of(self._robot).clearance
         self._set_robot_pose((x, y, height), start.yaw)
         found: dict[str, float] = {}
         for pair, depth in self._contacts().items():
             others = [name for name in pair if not name.startswith("robot/")]
+            # Two: the robot has no part in it. None: it touches itself.
             if len(others) == 1 and depth > self._bearable(others[0]):
                 solid = solid_name(self._arena, others[0])
                 found[solid] = max(depth, found.get(solid, 0.0))
@@ -274,6 +279,7 @@ def _overlap(one: StartPose, other: StartPose, length: float, width: float) -> b
     way = np.subtract(other.at[:2], one.at[:2])
     if math.hypot(*way) > 2 * math.hypot(length, width):
         return False
+    # Two for each rectangle are enough in the plane.
     axes = [
         np.array([math.cos(p.yaw + t), math.sin(p.yaw + t)]) for p in (one, other) for t in (0, math.pi / 2)
     ]
@@ -292,6 +298,7 @@ class BodyProbe:
     """
 
     def __init__(self, arena: ArenaSpec) -> None:
+        # Loose objects move out of the way of doors and victims.
         self._arena = replace(arena, loose=())
         self._model = new_spec(self._arena, Physics()).compile()
         self._data = mujoco.MjData(self._model)
@@ -358,6 +365,7 @@ class BodyProbe:
                 yield f"door {door.name!r} hangs {depth:.2f} m deep in {where}: it cannot turn"
                 continue
             low, high = (self._opening(door, geom, limit) for limit in door.limits)
+            # One free way is enough, and doors with narrow limits need to reach only these.
             if max(low, high) < min(MIN_DOOR_OPENING, max(map(abs, door.limits))):
                 widest = math.degrees(max(low, high))
                 yield f"door {door.name!r} opens by {widest:.0f} degrees only: solids are in its way"

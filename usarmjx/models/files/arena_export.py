@@ -83,7 +83,9 @@ def arena_links(arena: ArenaSpec) -> tuple[ArenaLink, ...]:
     Raises:
         SpecError: The arena cannot be built.
     """
+    # Compiled for weights: MuJoCo computes inertias of solids from their masses.
     model = new_spec(arena, Physics()).compile()
+    # Names that the writers give themselves.
     taken = {"floor", "world"}
     links = [*_fixed(arena, taken)]
     for thing in arena.loose:
@@ -194,6 +196,7 @@ class MeshFiles:
         return self._name(stl_of(np.asarray(shape.mesh.vertices, float)[shape.mesh.faces]))
 
     def _name(self, data: bytes) -> str:
+        # By content: equal meshes share a file, wherever they come from.
         if data not in self._names:
             path = self._path.with_name(f"{self._path.stem}-mesh-{len(self._names) + 1}.stl")
             write_file(path, data)
@@ -221,6 +224,7 @@ def _terrain(shape: Shape) -> np.ndarray:
 def urdf_of(arena: ArenaSpec, links: tuple[ArenaLink, ...], meshes: MeshFiles) -> ET.Element:
     """Return an arena as `<robot>`: fixed joints, hinges of doors, and floating joints of loose objects."""
     root = ET.Element("robot", name=arena.name)
+    # MuJoCo would merge fixed links and drop what is only seen; other readers skip the element.
     ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", fusestatic="false", discardvisual="false")
     # MuJoCo takes a link of that name for the world, on which alone free bodies may stand.
     ET.SubElement(root, "link", name="world")
@@ -236,6 +240,7 @@ def urdf_of(arena: ArenaSpec, links: tuple[ArenaLink, ...], meshes: MeshFiles) -
         if link.door is not None:
             ET.SubElement(joint, "axis", xyz="0 0 1")
             low, high = link.door.limits
+            # URDF demands effort and velocity; a door has no motor.
             limit = {"lower": text_of(low), "upper": text_of(high), "effort": "0", "velocity": "0"}
             ET.SubElement(joint, "limit", limit)
             ET.SubElement(joint, "dynamics", damping=text_of(link.door.friction))
@@ -247,6 +252,7 @@ def _floor(arena: ArenaSpec) -> ArenaLink:
     (x0, x1), (y0, y1) = arena.extent
     size = ((x1 - x0) / 2 + FLOOR_MARGIN, (y1 - y0) / 2 + FLOOR_MARGIN, FLOOR_THICKNESS / 2)
     centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, -FLOOR_THICKNESS / 2])
+    # URDF has no planes.
     box = Shape(kind="box", size=size, surface="ground", rgba=FLOOR_RGBA)
     at_rest = Pose(np.zeros(3), np.eye(3))
     return ArenaLink(name="floor", pose=Pose(centre, np.eye(3)), solids=((at_rest, box),))
@@ -260,6 +266,7 @@ def _add_urdf_link(root: ET.Element, link: ArenaLink, meshes: MeshFiles) -> None
     element = ET.SubElement(root, "link", name=link.name)
     if link.weight is not None:
         inertial = ET.SubElement(element, "inertial")
+        # The tensor is in the link's axes, so the inertial's need no turn.
         _add_origin(inertial, Pose(link.weight.centre, np.eye(3)))
         ET.SubElement(inertial, "mass", value=text_of(link.weight.mass))
         pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -301,6 +308,7 @@ def sdf_of(arena: ArenaSpec, links: tuple[ArenaLink, ...], meshes: MeshFiles) ->
     if arena.has_floor:
         _add_floor(world)
     if not arena.lights:
+        # Worlds without any light are black in Gazebo.
         sun = ET.SubElement(world, "light", name="sun", type="directional")
         add_child(sun, "pose", (0, 0, 10, 0, 0, 0))
         add_child(sun, "direction", (-0.4, 0.2, -1))
@@ -336,6 +344,7 @@ def _add_lamp(world: ET.Element, name: str, light: Light) -> None:
     """Add a point light, of which the brightness is that at 1 m."""
     lamp = ET.SubElement(world, "light", name=name, type="point")
     add_child(lamp, "pose", (*light.at, 0, 0, 0))
+    # Colours end at 1 there: what is beyond goes into the intensity.
     add_child(lamp, "diffuse", (*np.array(light.rgb) / max(*light.rgb, 1e-9), 1))
     add_child(lamp, "intensity", light.brightness * max(light.rgb))
     attenuation = ET.SubElement(lamp, "attenuation")
@@ -372,6 +381,7 @@ def _add_form(geometry: ET.Element, shape: Shape, meshes: MeshFiles, *, seen: bo
         add_child(ET.SubElement(geometry, "ellipsoid"), "radii", shape.size)
     elif shape.kind in PARTS:
         form = ET.SubElement(geometry, shape.kind)
+        # SDF's lengths are whole ones, ours half ones.
         for tag, size in zip(PARTS[shape.kind], shape.size, strict=False):
             add_child(form, tag, size * (2 if tag == "length" else 1))
     else:

@@ -49,6 +49,7 @@ def text_of(values: object) -> str:
 
 def rpy_of(mat: np.ndarray) -> np.ndarray:
     """Return roll, pitch, yaw (3,) of a rotation (3, 3): turns about fixed x, y, z, as in URDF and SDF."""
+    # Not the arcsine: it loses digits near 90 degrees, and rounding may carry its argument beyond 1.
     pitch = np.arctan2(-mat[2, 0], np.hypot(mat[0, 0], mat[1, 0]))
     if np.hypot(mat[0, 0], mat[1, 0]) < LOCKED:  # gimbal lock: roll and yaw are one rotation
         return np.array([np.arctan2(-mat[1, 2], mat[1, 1]), pitch, 0.0])
@@ -81,6 +82,7 @@ def stl_of_hull(corners: np.ndarray) -> bytes:
     faces = corners[hull.simplices]
     normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     inwards = (normal * hull.equations[:, :3]).sum(1) < 0
+    # Qhull's simplices have corners in any order; readers take faces from the order.
     faces[inwards] = faces[inwards][:, ::-1]
     return stl_of(faces)
 
@@ -90,6 +92,7 @@ def stl_of(triangles: np.ndarray) -> bytes:
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     facets = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+    # Flat triangles have no normal: zeros, from which readers compute their own.
     facets["normal"], facets["corners"] = normal / np.maximum(length, 1e-300), triangles
     return b"usarmjx".ljust(80, b"\0") + len(facets).to_bytes(4, "little") + facets.tobytes()
 
@@ -118,6 +121,7 @@ def export_robot(robot: RobotSpec, path: Path, form: str) -> ExportResult:
     if form not in FORMATS:
         raise UsageError(f"format {form!r}; known: {', '.join(FORMATS)}")
     spec = mujoco.MjSpec()
+    # `add_robot` gives angles in radians, which MuJoCo would take for degrees.
     spec.compiler.degree = False
     spec.modelname = robot.name
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
@@ -248,6 +252,7 @@ class _ModelWriter:
         """Return the name of the STL file of a mesh or an ellipsoid, in the geom's frame."""
         model = self._model
         is_mesh = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
+        # Negative for ellipsoids: they have no number of a mesh, and must not meet one.
         key = int(model.geom_dataid[geom]) if is_mesh else -1 - geom
         if key not in self._meshes:
             if is_mesh:

@@ -99,6 +99,7 @@ class SdfSolids:
             return [*maker(self, form, pose, like, use)]
         except ArenaFileError as error:
             text = str(error)
+            # Errors of meshes name the mesh's file only.
             said = text if text.startswith(f"{form.path}:") else f"{form.place}: {text}"
             self.notes.append(f"{said}; {called} is left out")
             return []
@@ -139,11 +140,14 @@ def _plane(own: SdfSolids, form: LinedElement, pose: Pose, like: Shape, use: Use
     if use == "loose":
         raise form.error("a plane does not move")
     if abs(pose.pos[2]) <= FLOOR_TOLERANCE and world[2] >= 1 - FLOOR_TOLERANCE:
+        # Looks of a plane come with a collision: only that counts.
         own.floors += use == "fixed"
         return
     sizes = form.first("size")
     x, y = (1.0, 1.0) if sizes is None else _lengths(form, "size", 2).tolist()
+    # The axis that is least parallel: the cross product cannot vanish.
     side = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+    # For a level plane the sizes are along its own x and y.
     side = np.array([1.0, 0.0, 0.0]) if abs(normal[2]) > 1 - 1e-9 else side / np.linalg.norm(side)
     axes = np.stack([side, np.cross(normal, side), normal], 1)
     if use == "fixed":
@@ -151,6 +155,7 @@ def _plane(own: SdfSolids, form: LinedElement, pose: Pose, like: Shape, use: Use
             f"{form.place}: a plane that is not the floor at height 0 becomes a box of {x:g} x {y:g} m"
         )
     frame = pose.then(Pose(np.zeros(3), axes))
+    # Below the plane: its upper face is where the plane is.
     centre = frame.pos - PLANE_THICKNESS / 2 * world
     yield replace(
         like,
@@ -282,6 +287,7 @@ def colour_of(visual: LinedElement) -> Rgba | None:
         found = material.first(tag)
         if found is not None:
             words = (found.text or "").split()
+            # Files leave the fourth number out, or have it: transparency is an element of its own.
             numbers = numbers_of(found, " ".join(words[:3]), 3)
             red, green, blue = np.clip(numbers, 0.0, 1.0).tolist()
             return (red, green, blue, alpha)
@@ -293,6 +299,7 @@ def colour_of(visual: LinedElement) -> Rgba | None:
 def volume_of(shape: Shape) -> float:
     """Return the volume of a shape that can be loose, for its share of a mass [m3]."""
     if shape.kind == "mesh":
+        # Makers of meshes leave the volume in the mass until the link's is shared out.
         return max(shape.mass, 1e-9)
     x, y, z = (*shape.size, 1.0, 1.0)[:3]
     volumes: dict[str, float] = {

@@ -111,6 +111,7 @@ def read_lined_xml(path: Path, text: str | bytes | None = None) -> LinedElement:
         XmlSyntaxError: It is no XML.
         ArenaFileError: A file that is missing, is too large or too deeply nested, or defines a document type.
     """
+    # Not ElementTree's parser: it knows no lines, and demands that prefixes of names are declared.
     parser = expat.ParserCreate()
     builder = TreeBuilder(element_factory=LinedElement)
     depth = count = 0
@@ -174,6 +175,7 @@ TAG = re.compile(rb"[A-Za-z_][\w.:-]*")
 
 def _declared_first(text: str | bytes) -> str | bytes:
     """Return a text whose XML declaration, if white space is before it, is white space of as many lines."""
+    # XML forbids white space before its declaration; some files have it.
     if isinstance(text, str) or not text[:1].isspace() or not text.lstrip().startswith(b"<?xml"):
         return text
     head, end, rest = text.partition(b"?>")
@@ -260,10 +262,12 @@ class _Tally:
             raise self._error(f"{path.name} includes itself")
         root = self._root(path)
         if root is not None:
+            # `attach` names a model asset, which names its file.
             models = {one.get("name"): one.get("file", "") for one in root.iter("model")}
             self._add(root, times, (*within, path), len(within), models)
 
     def _root(self, path: Path) -> LinedElement | None:
+        # Files are read once, however often they are included; None: it is no XML.
         if path not in self._known:
             if len(self._known) == MAX_FILES:
                 raise self._error(f"is made of more than {MAX_FILES} files")
@@ -292,6 +296,7 @@ class _Tally:
         if element.tag == "attach":
             self._add_other(models.get(element.get("model"), ""), times, within)
         if element.tag == "replicate":
+            # For what is below only: the element itself is there once.
             times *= _product(element, "count")
         for child in element.children():
             self._add(child, times, within, depth + 1, models)
@@ -320,6 +325,7 @@ class _Tally:
                 return
 
     def _within(self, found: float, most: float, element: LinedElement, what: str) -> float:
+        # In this form: NaN, of which sums stay NaN, is refused as well.
         if not found <= most:
             name = element.get("name") or element.get("prefix")
             called = f"<{element.tag}>" if name is None else f"<{element.tag}> {name!r}"
@@ -351,6 +357,7 @@ def _without_comments(text: str) -> str:
 
 def _product(element: LinedElement, key: str) -> float:
     """Return the product of an attribute's numbers, each at least 1; 1 if it has none."""
+    # At least 1 each: zeros and negative numbers must not hide the others.
     return math.prod(max(number, 1.0) for number in _numbers(element.get(key, "")))
 
 

@@ -134,6 +134,7 @@ def _conveyor(belt: Conveyor) -> str:
     if not is_name(belt.name):
         return f"conveyor {belt.name!r}: a name is one word of ASCII without braces"
     fastest = max(map(abs, belt.velocity))
+    # In this form: NaN is refused as well.
     if not fastest <= MAX_BELT_SPEED:
         return f"conveyor {belt.name!r} runs at {fastest:g} m/s; at most {MAX_BELT_SPEED:g}"
     return ""
@@ -194,6 +195,7 @@ def arena_problem(arena: ArenaSpec) -> str:
     places = [one.at for one in (*solids, *arena.starts, *arena.loose, *arena.doors, *arena.victims)]
     lengths = [*places, *(shape.size for shape in solids), *arena.extent]
     farthest = max((abs(number) for numbers in lengths for number in numbers), default=0.0)
+    # In this form: comparisons with NaN are false, so it is refused as well.
     if not farthest <= MAX_COORDINATE:
         return f"something lies or reaches {farthest:g} m from the origin; at most {MAX_COORDINATE:g}"
     for start in arena.starts:
@@ -229,6 +231,7 @@ def scale_notes(arena: ArenaSpec, path: Path) -> tuple[str, ...]:
         path: Its file.
     """
     shapes = [*arena.shapes, *(shape for one in arena.loose for shape in shapes_in_arena(one))]
+    # A place on Earth fixes the scale: such arenas may be large.
     if not shapes or arena.gps is not None:
         return ()
     corners = np.concatenate([corners_of(shape) for shape in shapes])
@@ -389,6 +392,7 @@ def mesh_content(mesh: MeshFile) -> Content:
     found = [piece for file in files for piece in pieces(file)]
     like = Shape(kind="mesh", mesh=NO_MESH, material=mesh.material, rgba=mesh.rgba)
     if mesh.mass <= 0:
+        # Fixed solids are placed themselves; those of a loose object keep the object's axes.
         like = replace(like, at=mesh.at, rotation=mesh.rotation, surface=mesh.surface)
         return Content(shapes=shapes_of(found, like))
     like = replace(like, surface=mesh.surface or LOOSE_SURFACE)
@@ -537,6 +541,7 @@ def arena_of_yaml(value: FileValue, resources: Resources) -> tuple[ArenaSpec, tu
     Raises:
         ArenaFileError: An unknown, missing or invalid value; names file and line.
     """
+    # Before anything is read: each of these files may take seconds.
     _check_number_of_files(value)
     given = value.mapping()
     file = ARENA_READER.from_data(ArenaFile, value, defaults={"name": value.path.stem})
@@ -590,6 +595,7 @@ def complete_arena(arena: ArenaSpec, content: Content, value: FileValue, given: 
         lights=(*arena.lights, *content.lights),
         gps=arena.gps or content.gps,
     )
+    # What the file itself states counts; content of other files only fills gaps.
     if "has_floor" not in given and content.floor is not None:
         arena = replace(arena, has_floor=content.floor)
     if "extent" not in given:
@@ -628,6 +634,7 @@ def _one_or_several(value: FileValue) -> list[FileValue]:
 def _sources(kind: type[T], value: FileValue) -> tuple[T, ...]:
     """Read one source of solids or a list of them, each a mapping or the name of its file alone."""
     items = _one_or_several(value)
+    # `one` itself is the value of "file": errors then point at its own line.
     whole = [replace(one, data={"file": one}) if isinstance(one.data, str) else one for one in items]
     return tuple(ARENA_READER.from_data(kind, one) for one in whole)
 

@@ -82,6 +82,7 @@ def slope(at: Position2D, run: float, width: float, angle: float, uphill: int, r
         rgba: Colour.
     """
     ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
+    # The middle of the upper face is over `at`; the box's own is half its thickness away along the normal.
     back = DECK / 2 * math.sin(angle)
     z = run / 2 * math.tan(angle) - DECK / 2 * math.cos(angle)
     return Shape(
@@ -190,6 +191,7 @@ def second_floor(landing: Cell, step: int, columns: int) -> list[Shape]:
     end = CELL * (columns if step > 0 else 0) - step * THICKNESS / 2
     shapes = [slope((edge + step * run / 2, y), run, width, RAMP, uphill)]
     if columns >= MIN_TWO_RAMP_COLUMNS:
+        # A cell at the foot of the second ramp stays free, as a landing.
         end -= step * (run + CELL - THICKNESS / 2)
         shapes.append(slope((end + step * run / 2, y), run, width, RAMP, (uphill + 2) % 4))
     start = edge + step * run
@@ -305,6 +307,7 @@ def highest_at(curve: SuccessCurve, success: float) -> float:
     """
     held, share = curve[0]
     for height, found in curve[1:]:
+        # Measured shares scatter: a higher obstacle must not count as easier.
         found = min(found, share)
         if found < success:
             return held + (height - held) * (share - success) / (share - found) if share > success else held

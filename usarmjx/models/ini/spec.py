@@ -108,13 +108,16 @@ def drive_of(
     driven = {pair.name for pair in wheels if _is_driven(pair, roles, notes)}
     if not driven:
         fail(wheels[0].line, "no wheel is driven", "wheels beside the middle line, without Not_Powered")
+    # One Holo wheel makes all of it an OmniDrive, though its wheels may steer too.
     car = not _is_holonomic(roles) and any(_steers(pair, roles) for pair in wheels)
     braked = _braked(wheels, driven, notes, car=car)
     idle = {part.name for part in parts if part.is_wheel} - driven
     kept = tuple(_undriven(part, braked) if part.name in idle else part for part in parts)
     radii = {part.name: part.shapes[0].size[0] for part in kept if part.is_wheel}
+    # Radius and speed are those of the first driven wheel: commands in rad/s refer to it.
     radius = radii[next(pair.name for pair in wheels if pair.name in driven)]
     motors = {part.name: part.motor for part in kept if part.name in driven and part.motor}
+    # The slowest wheel bounds all: wheels of several radii share a speed over ground.
     spin = min(motor.max_speed * radii[name] / radius for name, motor in motors.items())
     if _is_holonomic(roles):
         return kept, _omni(wheels, driven, roles, spin, radius)
@@ -241,6 +244,7 @@ def _largest(pairs: Sequence[JointPair], roles: Mapping[int, WheelRole]) -> floa
 def _omni(
     wheels: Sequence[JointPair], driven: set[str], roles: Mapping[int, WheelRole], spin: float, radius: float
 ) -> OmniDrive:
+    # DRIVE has one list of numbers for wheels, without gaps for other joints.
     if [pair.number for pair in wheels] != list(range(len(wheels))):
         fail(wheels[0].line, "DRIVE knows omni wheels by their numbers", "wheels as the first JointParts")
     return OmniDrive(
@@ -293,6 +297,7 @@ def _skid(
         if not names:
             fail(wheels[0].line, f"no driven wheel is on the {side}", "some at either side, Y < 0 is left")
     ratios = tuple(radius / radii[name] for name in (*left, *right))
+    # Exact equality: ratios of equal radii are 1 without rounding.
     if set(ratios) == {1.0}:
         return SkidSteer(left=left, right=right, max_spin=spin, radius=radius)
     return Tracks(left=left, right=right, max_spin=spin, radius=radius, ratios=ratios)
@@ -329,6 +334,7 @@ class RobotSection:
             gone += len(before) - len(kept)
             if before:
                 self.lists[listed] = kept
+        # With a list of the files' own, the class' items are gone anyway.
         if not gone and key not in self.lists:
             self.drops.setdefault(key, []).append(line)
 
@@ -391,14 +397,18 @@ def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildCon
     if base is None:
         robot = _new_robot(section, pairs, sources)
     else:
+        # The section's spelling may differ from the class' in case.
         name = base.name if section.name in sources.robots else section.name
         robot = _changed_robot(section, replace(base, name=name), pairs, sources)
+    # A new robot's chassis already has the rest of its Weight.
     used = {"weight"} if base is None else set[str]()
     robot = apply_parameters(robot, section.figures, section.units, sources.warnings, used)
+    # Before items: these may sit on the links of packages.
     robot = _with_packages(section, robot, sources)
     try:
         robot = _with_items(section, robot, {pair.name: pair for pair in pairs}, sources)
         robot = with_stereo(robot, section.figures, section.units, sources.warnings)
+        # For its errors, which would otherwise come when a world is built.
         parts_of(robot)
         return replace(with_measurements(robot), mass=robot.mass) if pairs else robot
     except UsageError as error:
@@ -471,6 +481,7 @@ def _with_packages(orders: RobotSection, robot: RobotSpec, sources: BuildContext
         return robot
     own = sources.robots.get(robot.name).packages if robot.name in sources.robots else robot.packages
     known = {**sources.packages, **templates(own, sources.definitions)}
+    # `MisPkgs` replaces the list, `AddMisPkgs` adds to it.
     packages = {} if listed is not None else {package.name: package for package in robot.packages}
     for line in orders.drops.get("MisPkgs", ()):
         gone = [name for name in packages if name.lower() == item_name(line)[1]]
