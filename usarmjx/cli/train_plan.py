@@ -290,6 +290,7 @@ def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) 
         from usarmjx.train.make import make
 
         there = load_seeds(options.out) if options.resume else ()
+        # The first seed's folder has the record that all were started with.
         known = replace(options, out=seed_folder(options.out, there[0])) if there else options
         plan = plan_run(task, known)
         first = plan.config.seed
@@ -315,6 +316,7 @@ def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) 
         typer.echo(result_line(result))
     if results[0].stopped:
         say(f"go on with: usarmjx train {task} --out {options.out} --resume")
+        # As shells report a process that a signal has ended.
         raise typer.Exit(128 + stop.number)
 
 

@@ -174,6 +174,7 @@ class Knowledge:
         """Return the queries that would tell more now; each only once."""
         wanted = ["GETSTARTPOSES"] if self.level else []
         if self.has_robot:
+            # Types that were heard of, too: robots of users have sensors of their own.
             wanted += [f"GETGEO {{Type {kind}}}" for kind in (*ASKED_TYPES, *SENSOR_TYPES, *self.items)]
             wanted += [f"GETCONF {{Type {kind}}}" for kind in (*ASKED_TYPES, *self.items)]
         new = [line for line in dict.fromkeys(wanted) if line not in self._asked]
@@ -200,6 +201,7 @@ class Knowledge:
     def _nfo(self, message: Message) -> None:
         self.level = message.get("Level") or self.level
         if message.get("StartPoses") and len(message.segments) > 1:
+            # The first tag is the segment's key.
             words = " ".join(" ".join(pair) for pair in message.segments[1:]).split()
             self.starts = {
                 tag: (at, turn) for tag, at, turn in zip(*(words[i::3] for i in range(3)), strict=False)
@@ -209,6 +211,7 @@ class Knowledge:
         self.has_robot = True
         self.time = to_float(message.get("Time"))
         self.light, self.battery = message.get("LightToggle").lower() == "true", message.get("Battery")
+        # STA has the joints by name beside its own keys.
         self.joints = [key for key, _ in message.segments if key.lower() not in REPORTED_SEGMENTS]
 
     def _missta(self, message: Message) -> None:
@@ -279,6 +282,7 @@ def _by_name(segments: tuple[Segment, ...]) -> Iterator[tuple[str, tuple[Segment
 def _by_link(segments: tuple[Segment, ...]) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield the fields that follow each `{Link n}`, by their keys in lower case, with the number."""
     number, fields = 0, dict[str, str]()
+    # A link that does not count ends the last one.
     for key, value in (*segments, ("Link", "0")):
         if key.lower() == "link":
             if number:

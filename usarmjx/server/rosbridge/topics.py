@@ -201,6 +201,7 @@ def _fix(
     *position, satellites = map(float, value)
     settings, fixed = sensor.settings[0], satellites >= MIN_FIX_SATELLITES
     coordinates = geographic_coordinates(settings, position, origin) if fixed else (0.0, 0.0)
+    # The largest noise counts as three deviations.
     variance = (settings.max_noise / 3) ** 2 if fixed else 0.0
     return {
         "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),

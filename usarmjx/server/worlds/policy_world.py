@@ -157,6 +157,7 @@ class ClassSensors:
         """Replace the memory of a robot's further sensors."""
 
         def put(old: Any, new: Any) -> np.ndarray:  # noqa: ANN401 - arrays
+            # A copy, as arrays from the device cannot be written to.
             changed = np.array(old)
             changed[member] = new
             return changed
@@ -259,6 +260,7 @@ def _blank(one: jax.ShapeDtypeStruct) -> Array:
     """Return an array of a shape; its values count for nothing."""
     kind: Any = one.dtype
     is_key = bool(jnp.issubdtype(kind, jax.dtypes.prng_key))
+    # Random keys have a type that NumPy does not know.
     blank = jnp.broadcast_to(random.key(0), one.shape) if is_key else np.zeros(one.shape, kind)
     return blank  # pyright: ignore[reportUnknownVariableType] - NumPy has no type for `kind`
 
@@ -442,6 +444,7 @@ class PolicyBatch(SharedBatch):
         state, obs, began = self._advance_all(parts, self._policy_state, self._task_keys, again)
         initial = self._policy.initial_carry(self.env.worlds)
         memory = jax.tree.map(partial(select_worlds, began), initial, state.policy)
+        # Kept for `use_policy`, which compiles by it.
         self._act_example = memory, obs, jax.random.fold_in(self._key, self.steps)
         memory, actions = self._act(*self._act_example)
         worlds, task = self._apply_actions_all(parts, state.task, actions, self.claimed)
@@ -451,6 +454,7 @@ class PolicyBatch(SharedBatch):
     def maps(self, world: int) -> TeamMaps | None:
         """Return the maps that the robots of a world are building, as of the last action."""
         before = self._maps.get(world)
+        # Once for each reading of the sensors, however many ask.
         if before is None or before[0] != self.measured:
             maps = self._maps_of(self._policy_state.task, world)
             self._maps[world] = before = self.measured, jax.device_get(maps)

@@ -107,6 +107,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
     @property
     def key(self) -> jax.Array:
         """A random key of this moment, for tasks that draw at every step."""
+        # A stream of its own: what tasks draw here changes no other random numbers.
         return jax.random.fold_in(episode_key(self.world, Stream.TASK_STEP), self.world.step)
 
     def sensor(self, group: int, kind: str) -> jax.Array:
@@ -259,6 +260,7 @@ class Task(ABC):
         robots = with_sensors(self.robots, self.equipment)
         arenas, spare = self.arenas, 0.0
         if isinstance(arenas, GeneratedArenas):
+            # Room in the arrays for arenas that are generated later and may have more solids.
             arenas, spare = arenas.arenas(), SPARE_ROOM * arenas.renewable
         physics = self.physics_settings
         scene = build_scene(
@@ -266,6 +268,7 @@ class Task(ABC):
         )
         if scene.arenas is None:
             return scene
+        # After the scene is built, as notes may need its groups.
         notes = self.arena_notes(scene, scene.arenas.arenas)
         return replace(scene, arenas=replace(scene.arenas, states=scene.arenas.states.replace(notes=notes)))
 
