@@ -650,6 +650,7 @@ class ViewerPage:
         if self.robot not in self.drawing.robots:
             self.robot = None
         self._over.position = self._cell.offset
+        # Layers that are off, too: one that is switched on later must know the drawing.
         for layer in self.layers.values():
             layer.alone = len(drawings) == 1
             self._guarded(lambda layer=layer: layer.begin(self.server.scene, self.drawing, OVER_PATH))
@@ -687,6 +688,7 @@ class ViewerPage:
             if client.client_id not in self.server.get_clients():
                 return
             self.viewers[client.client_id] = viewer = Viewer(client)
+            # The browser begins at this camera: that is no move of its user's.
             viewer.framed.append(np.asarray(self.server.initial_camera.position))
             self._frame_all(viewer)
 

@@ -68,6 +68,7 @@ class BodyBatch:
         if _are_near(pos, self._pos) and _are_near(quat, self._quat):
             return
         self._pos, self._quat = pos, quat
+        # Sent with the first visible body: a mesh that no one sees costs time in every browser.
         if len(rows) and not self._handles:
             self._handles = [self._add(n, *mesh) for n, mesh in enumerate(self._meshes)]
         elif len(rows):

@@ -232,7 +232,6 @@ class UserPanels:
             self._show_banner(status)
         for number in self._people.keys() - viewers.keys():
             del self._people[number]
-        # A copy, as users come and go on viser's threads.
         for number, viewer in list(viewers.items()):
             if number not in self._people:
                 order = self._banner.order

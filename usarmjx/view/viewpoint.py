@@ -57,6 +57,7 @@ def bounds_of(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
     tops = [drawing.floor + MIN_HEIGHT]
     for shape in (drawing.shapes[body.shape] for body in drawing.bodies if body.slot == NOBODY):
         boxes = shape.kind == BOX
+        # Half the height of a turned box: what its half axes have along z.
         upward = (np.abs(shape.mat[boxes, 2]) * shape.size[boxes]).sum(1)
         tops += (shape.pos[boxes, 2] + upward).tolist()
     return np.array([*low, drawing.floor]), np.array([*high, max(tops)])
@@ -153,6 +154,7 @@ class _Framing:
     @staticmethod
     def _covers(seen: np.ndarray, edge: np.ndarray) -> bool:
         """Return whether the hull of points (8, 2) reaches the corner left of and above an edge (2,)."""
+        # The edge between two corners may reach in where neither of them does.
         share = np.linspace(0.0, 1.0, 33)[:, None, None, None]
         between = seen[:, None] + share * (seen[None] - seen[:, None])
         return bool(((between[..., 0] < edge[0]) & (between[..., 1] > edge[1])).any())
