@@ -162,6 +162,7 @@ def sample_values(
         if vary.range_of(name) is None:
             continue
         span = given.get(name, vary.range_of(name))
+        # By its index, not by splitting: a quantity that is added leaves the draws of the others alone.
         own = random.fold_in(key, index)
         if not rule.robots:
             drawn[name] = _number(rule, span, own)
@@ -175,6 +176,7 @@ def sample_values(
 def _number(rule: QuantityRule, span: Any, key: Array) -> Array:  # noqa: ANN401 - two numbers, traced or not
     low, high = span[0], span[1]
     if rule.whole:
+        # JAX excludes the upper end.
         return random.randint(key, low, high + 1)
     return random.uniform(key, (), low, high)
 

@@ -70,6 +70,7 @@ def solid_extents(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """
     size, kind = solids.size, solids.kind[:, None]
     round_, long = size[:, :1], size[:, 1:2]
+    # Exact for each kind: boxes around turned solids' boxes would be larger.
     up = np.abs(mat[:, :, 2])
     half = np.select(
         [kind == one for one in (GeomType.mjGEOM_BOX, GeomType.mjGEOM_CYLINDER, GeomType.mjGEOM_CAPSULE)],
@@ -81,6 +82,7 @@ def solid_extents(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarr
         np.sqrt(((mat * size[:, None]) ** 2).sum(-1)),
     )
     half = np.where(kind == GeomType.mjGEOM_SPHERE, round_, half)
+    # A triangle's size numbers: x of its second corner, x and y of the third, along its own axes.
     corners = np.stack(
         [0 * mat[:, :, 0], round_ * mat[:, :, 0], long * mat[:, :, 0] + size[:, 2:] * mat[:, :, 1]]
     )
@@ -129,6 +131,8 @@ def build_visual_model(shapes: Sequence[Sequence[Shape]]) -> VisualModel:
     for mat, quat in zip(mats, model.geom_quat, strict=True):
         mujoco.mju_quat2Mat(mat, quat)
     pieces = ray_primitives_of(model, np.arange(model.ngeom))
+    # Geoms' poses in their frames stand in for those in the world: the pieces' poses then are in the frames
+    # too.
     pos, mat = pieces.world_poses(model.geom_pos, mats.reshape(-1, 3, 3))
     solids = Solids(
         kind=pieces.kind,
@@ -231,6 +235,8 @@ def _columns() -> _Columns:
     bare, used = np.zeros((parts, slots), bool), np.zeros((parts, slots), bool)
     for row, part in enumerate(PART_NAMES):
         for trait in BONE_VISUALS[part]:
+            # Each slot has one kind for all bones: arrays then need no kind of their own, and programs no
+            # branch.
             slot = next(i for i, kind in enumerate(VISUAL_SLOTS) if kind == trait.kind and not used[row, i])
             used[row, slot], bare[row, slot] = True, trait.rgb is None
             size[row, slot], at[row, slot], rgb[row, slot] = trait.size, trait.at, trait.rgb or (0, 0, 0)
@@ -248,6 +254,7 @@ def drawn_bones(table: VictimTable, xp: ModuleType = np) -> DrawnBones:
     half, rgba = xp.asarray(table.size), xp.asarray(table.rgba)
     of_slot = half[:, np.array([SIZE_AXES[kind] for kind in VISUAL_SLOTS])]
     return DrawnBones(
+        # Not 0: rays divide by sizes.
         size=xp.where(used[..., None], size * of_slot, 1e-3),
         offset=xp.where(used[..., None], at * half[:, None], PARKED_COORDINATE),
         rgb=xp.where(bare[..., None], rgba[:, None, :3], rgb),

@@ -81,6 +81,7 @@ def save_arena(arena: ArenaSpec, path: str | Path) -> Path:
     if not path.parent.is_dir():
         raise ArenaFileError(f"{path}: cannot be written: No such file or directory")
     plain = _Files(path).plain(arena)
+    # ASCII: files then read the same whatever encoding an editor assumes.
     text = yaml.safe_dump(plain, default_flow_style=None, sort_keys=False, width=WIDTH, allow_unicode=False)
     with atomic_write(path) as fresh:
         fresh.write_text(HEADER + text, encoding="utf-8")
@@ -101,6 +102,7 @@ class _Files:
     def plain(self, value: Any) -> Any:  # noqa: ANN401 - any field's value
         """Return a value as mappings, lists and scalars; fields that have their defaults are left out."""
         if isinstance(value, (Mesh, HeightField)):
+            # By identity: several solids share one mesh, and comparing arrays would be slow.
             if id(value) not in self._known:
                 self._known[id(value)] = _write(value, self._path, len(self._known))
             return self._known[id(value)]
@@ -144,6 +146,7 @@ def _hull_lines(vertices: np.ndarray) -> list[str]:
     hull, lines = ConvexHull(vertices), list[str]()
     for (a, b, c), outward in zip(hull.simplices.tolist(), hull.equations[:, :3], strict=True):
         normal = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
+        # Qhull's simplices have corners in any order; faces show their outside by the order.
         first, second = (b, c) if normal @ outward > 0 else (c, b)
         lines.append(f"f {a + 1} {first + 1} {second + 1}")
     return lines
@@ -230,6 +233,7 @@ def _xml(path: Path, resources: Resources) -> Content:
 
 def _world(path: Path, resources: Resources) -> Content:
     """Read a world of Gazebo, which is XML, or of Stage."""
+    # A byte order mark may come before the first sign.
     data = read_bytes(path, refusal=ArenaFileError).lstrip(b"\xef\xbb\xbf \t\r\n")
     if data.startswith(b"#usda"):
         return _usd(path)
@@ -257,6 +261,7 @@ def _building(path: Path) -> Content:
 
 def _terrain(path: Path) -> Content:
     width, height = image_size(path)
+    # Heights are at the pixels' middles: n of them span n - 1 spacings.
     size = (PIXEL_SIZE * max(width - 1, 1), PIXEL_SIZE * max(height - 1, 1))
     content = terrain_content(TerrainFile(file=path, size=size, height=WHITE_HEIGHT))
     check_picture(path)

@@ -105,6 +105,7 @@ def load_robot(  # noqa: PLR0913 - options of its own, one each
     try:
         return _Builder(source, drive, motors or {}, max_speed).build(name, fields)
     except SpecError as error:
+        # Most errors name the file and the line already.
         if str(path) in str(error):
             raise
         raise SpecError(f"{path}: {error}") from error
@@ -143,6 +144,7 @@ def open_robot_file(
     """
     data = read_bytes(path, refusal=ArenaFileError)
     tag = root_tag(data)
+    # Many xacro files end in .urdf.
     if path.suffix.lower() == ".xacro" or (tag == "robot" and (b"<xacro:" in data or b"$(" in data)):
         data = _expanded(path, resources, arguments)
         tag = root_tag(data)
@@ -161,6 +163,7 @@ def open_robot_file(
         text = source.spec.to_xml()
     except Exception as error:  # MuJoCo raises errors of its own
         raise SpecError(f"{path}: does not compile: {quoted(error)}") from error
+    # In another process: some content ends the process instead of raising.
     if wrong := try_model(path, text):
         raise SpecError(f"{path}: does not compile: {wrong}")
     return source
@@ -169,6 +172,7 @@ def open_robot_file(
 def _expanded(path: Path, resources: Resources, arguments: Mapping[str, str]) -> bytes:
     """Return the XML of a xacro file; folders of packages are found as it names them."""
     folders: dict[str, str] = {}
+    # xacro tells one missing package at a time: expand again until it finds all.
     for _ in range(MAX_PACKAGES):
         found = expand_xacro(path, folders, arguments)
         if isinstance(found, bytes):
@@ -210,12 +214,15 @@ class _Builder:
         rotors = [i for i in range(self._model.nu) if self._is_on_site(i)]
         flies = self._drive is None and len(rotors) >= MIN_ROTORS
         servos = motors_of(self._model, self._given, self._max_speed, skip=rotors if flies else ())
+        # After motors of the file, whose speeds bound the drive's; before those that only its wheels need.
         drive = self._find_drive(servos)
         urdf_motors = self._stated_motors(drive)
+        # Actuators of the file override motors made of its limits.
         servos = urdf_motors | servos
         rolling = {aim.joint for aim in drive.joint_controls if aim.mode == VELOCITY_MODE}
         wheels = rolling | self._passive_wheels()
         parts = tuple(tree.part(owner, servos.get(tree.joint_of(owner)), wheels) for owner in tree.owners[1:])
+        # A drive of the caller's own comes with the signs of its wheels.
         if self._drive is None:
             parts = _rolling_ahead(tree, parts, rolling)
         parts = self._geared(parts)
@@ -242,6 +249,7 @@ class _Builder:
         )
         robot = replace(robot, **self._mounts(drive))
         try:
+            # Before casters, which are found by the origin's height above the ground.
             robot = with_measurements(robot)
         except SpecError:
             raise
@@ -251,6 +259,7 @@ class _Builder:
             robot = with_firm_wheels(_with_casters(robot, source), wheels)
         if flies:
             root, size = tree.owners[0], np.array(robot.dimensions)
+            # After measuring: drag areas need the robot's box.
             robot = replace(robot, drive=rotor_drive(self._model, root, rotors, size))
         torques = [part.motor.torque for part in robot.wheels if part.motor is not None]
         robot = replace(robot, max_torque=max(torques, default=robot.max_torque))
@@ -304,6 +313,7 @@ class _Builder:
             )
             if not wanted:
                 continue
+            # The inverse weight of a joint counts the inertia of all that hangs on it.
             inertia = 1.0 / float(model.dof_invweight0[model.jnt_dofadr[joint]])
             speed = limit.speed if np.isfinite(limit.speed) else self._max_speed
             rolls = free and radius > 0 and name in aims
@@ -351,6 +361,7 @@ class _Builder:
                     f"{self._source.path}: {one.kind} {one.name} is on no part: left out"
                 )
                 continue
+            # Bodies that are fixed to others are no parts: their pose in the part counts.
             parent, frame = place
             pose = frame.then(one.pose)
             mounts[one.kind == "Camera"].append(

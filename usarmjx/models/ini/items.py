@@ -201,6 +201,7 @@ def read_setting(kind: str, key: str, line: Line, value: IniValue, settings: Set
     if settings is not None and kind in settings:
         try:
             checked(settings[kind], option, kind)
+        # Unknown keys are warnings further up, wrong values are errors.
         except UnknownNameError:
             raise
         except UsageError as error:
@@ -214,6 +215,7 @@ def _setting_value(line: Line, key: str, value: IniValue) -> object:
         return tuple(_point(line, point) for point in (points if isinstance(points, tuple) else ()))
     if isinstance(value, Struct):
         return value.fields
+    # The point in the text decides, so the type of the number that was read does.
     if field_name(key) in map(field_name, UU_ANGLES) and isinstance(value, int):
         return as_number(line, value, key, above=0.0) / UU_PER_RADIAN
     return value
@@ -293,6 +295,7 @@ def merged(before: Options, after: Options) -> Options:
     """Return options, of which later ones override earlier ones."""
     if not before:
         return after
+    # By field: keys may be spelt in several ways.
     named = {field_name(key): (key, value) for key, value in (*before, *after)}
     return tuple(named.values())
 
@@ -339,6 +342,7 @@ def with_defaults(
 
     def filled(mount: Mount) -> Mount:
         given = defaults.get(mount.kind, ())
+        # Options of a single item override the defaults of its class, whichever file comes last.
         own = {field_name(key) for key, _ in mount.options}
         for key, _ in given:
             if field_name(key) in own:

@@ -133,6 +133,7 @@ def _retracked(robot: RobotSpec, flipper: str, wheels: list[Part], count: int) -
     fresh = [
         replace(p, shapes=(replace(p.shapes[0], mass=p.shapes[0].mass * before / after),)) for p in fresh
     ]
+    # In the old place: bodies, joints and messages follow the order of parts.
     at = robot.parts.index(wheels[0])
     kept = [part for part in robot.parts if part not in wheels]
     robot = replace(robot, parts=(*kept[:at], *fresh, *kept[at:]))
@@ -169,6 +170,7 @@ def _redriven(robot: RobotSpec, gone: set[str], fresh: list[str]) -> Tracks:
         return (*(name for name in names if name not in gone), *fresh)
 
     left, right = side(drive.left), side(drive.right)
+    # One belt speed for all wheels of a track: smaller ones spin faster.
     ratios = tuple(drive.radius / radii[name] for name in (*left, *right))
     return replace(drive, left=left, right=right, ratios=ratios)
 
@@ -252,6 +254,7 @@ def set_tyre(robot: RobotSpec, **figures: float) -> RobotSpec:
     def changed(shape: Shape) -> Shape:
         if shape.surface not in TYRES:
             return shape
+        # Its speed too: whether a tyre is the stock one depends on the robot's drive.
         stock = Tyre(speed=robot.drive.top_speed * UU_PER_METRE)
         tyre = replace(shape.tyre or stock, **figures)
         return replace(shape, tyre=None if tyre == stock else tyre)
@@ -277,6 +280,7 @@ def set_centre(robot: RobotSpec, at: Vec3) -> RobotSpec:
     """Set CenterOfMass (ours): gather the chassis' mass in a box of half the robot's size around a point."""
     mass = sum(shape.mass for shape in robot.chassis) if robot.inertia is None else robot.inertia.mass
     x, y, z = (edge / 4 for edge in robot.dimensions)
+    # A box, not a point: MuJoCo needs moments of inertia about all axes.
     ballast = Shape(kind="box", size=(x, y, z), at=at, mass=mass, surface="fixture", rgba=(0, 0, 0, 0))
     light = tuple(replace(shape, mass=0.0) for shape in robot.chassis)
     return replace(robot, chassis=(*light, ballast), inertia=None)
@@ -328,6 +332,7 @@ def apply_parameters(
     Raises:
         SpecError: A value that is no number, or too small; names file and line.
     """
+    # In the table's order, not the file's: MaxTorque limits MotorTorque whichever is written first.
     steps = [(key, low, set_to) for key, (low, set_to) in SETTERS.items()]
     scale = units.uu_per_metre
     steps += [(key, -np.inf, partial(_set_length, set_to, scale)) for key, set_to in LENGTHS.items()]

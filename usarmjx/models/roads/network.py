@@ -175,6 +175,7 @@ class RouteNetwork:
         for m, segment in enumerate(self.segments, 1):
             for n, lane in enumerate(segment.lanes, 1):
                 yield (m, n), lane
+        # The format numbers zones after the segments.
         for m, zone in enumerate(self.zones, 1 + len(self.segments)):
             yield (m, 0), zone
             for n, spot in enumerate(zone.spots, 1):
@@ -229,6 +230,7 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
     known = network.points()
     numbers = {owner: (part.first, part.first + len(_points(part)) - 1) for owner, part in network.parts()}
     faults: list[Fault] = [] if network.name else [(("name",), "a route network needs a name")]
+    # Numbers of checkpoints are unique in the whole network: missions name them alone.
     taken: set[int] = set()
     for owner, part in network.parts():
         faults += _wrong_figures(owner, part)

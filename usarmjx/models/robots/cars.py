@@ -279,6 +279,7 @@ def _axle(car: Car, front: bool) -> tuple[list[Part], list[Wheel]]:
         if front
         else (1 - car.front_weight_share, -car.wheel_base / 2)
     )
+    # The spring carries what is above it: neither the wheel nor its hub.
     carried = car.mass * share / 2 - mass - hub
     spring = Spring(
         stiffness=SUSPENSION_FREQUENCY**2 * carried,

@@ -120,6 +120,7 @@ def prism(profile: Sequence[tuple[float, float]], half: float, rgba: Rgba, top: 
         top: Half the width at its highest corners; None: `half`.
     """
     height = min(z for _, z in profile)
+    # z points down: the highest corners have the smallest z.
     wide = [half if z > height or top is None else top for _, z in profile]
     return hull(
         [(x, side * y, z) for side in (-1.0, 1.0) for (x, z), y in zip(profile, wide, strict=True)], rgba
@@ -192,6 +193,7 @@ def belt_looks(front: Vec3, rear: Vec3, radii: tuple[float, float], width: float
     """
     (x0, y, z0), (x1, _, z1), half = front, rear, width / 2
     ends = (drum(radii[0], half, front, TYRE_BLACK, ACROSS), drum(radii[1], half, rear, TYRE_BLACK, ACROSS))
+    # A box for the usual case: rays meet it faster than the triangles of a mesh.
     if radii[0] == radii[1] and z0 == z1:
         return (*ends, block(((x0 - x1) / 2, half, radii[0]), ((x0 + x1) / 2, y, z0), TYRE_BLACK))
     lean = (radii[1] - radii[0]) / math.hypot(x0 - x1, z0 - z1)  # sine of the common tangents' slope
@@ -274,6 +276,7 @@ def firm_motor(max_speed: float, torque: float, inertia: float, armature: float)
         inertia: Inertia of the load [kg m2].
         armature: Inertia of the motor, seen at the joint [kg m2].
     """
+    # Gains in proportion to the inertia: frequency and damping, hence stability, are the same for all joints.
     whole = inertia + armature
     return Motor(
         max_speed=max_speed, torque=torque, stiffness=4000.0 * whole, damping=60.0 * whole, armature=armature
@@ -482,6 +485,7 @@ class Belt:
     def looks(self, front: Vec3, rear: Vec3, radii: tuple[float, float] | None = None) -> tuple[Shape, ...]:
         """Return the belt around a row's foremost and rearmost wheel, as visuals of their parent."""
         outer = (self.radius, self.radius) if radii is None else radii
+        # The belt itself lies within the cleats, whose tips reach the radius that touches the ground.
         first, last = (radius - self.cleat for radius in outer)
         return belt_looks(front, rear, (first, last), 0.96 * self.width)
 

@@ -203,6 +203,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
     rotator = Part(
         name=f"{name}Rotator",
         at=(x, y, 0.0),
+        # The joint is at 0 while the robot stands: limits count from there.
         rotation=(0.0, -forward * shoulder, 0.0),
         axis=LIFT,
         motor=ERS_ROTATOR,
@@ -235,6 +236,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
 def _ers_paw_button(side: str, end: str) -> Mount:
     """Return the paw sensor, which points straight down while the robot stands."""
     shoulder, knee = _ers_rest(end)
+    # The shin's angle against the vertical, by which the sensor turns back.
     lean = (knee - shoulder) * (1 if end == "F" else -1)
     shin = ERS_LOWER[end] - ERS_PAW
     at = (-ERS_PAW * math.sin(lean), 0.0, shin + ERS_PAW * math.cos(lean))
