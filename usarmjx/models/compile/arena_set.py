@@ -95,6 +95,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
         ),
         victims=(len(limbs), room(max(table.num_victims for table in tables))),
         tags=room(max(len(arena.tags) for arena in arenas)),
+        # The fewest: unlike boxes, start poses have no parking place that a robot could be put at.
         starts=min(len(arena.starts) for arena in arenas),
         lamps=max(len(arena.lights) for arena in arenas),
     )
@@ -136,6 +137,7 @@ def fill_slots(
     free = {kind: iter(own) for kind, own in indices.items()}
     filled: list[Thing | None] = [None] * len(slots)
     for one in group:
+        # Iterators: each slot is handed out once.
         slot = next(free.get(form(one), iter(())), None)
         if slot is None:
             raise SpecError(
@@ -216,6 +218,7 @@ class ArenaSet:
         # Resolved as it would be later: sorting decides which box comes into which slot.
         own = _states([arena], self.slots, [0])
         sizes = np.concatenate([own.size[0], own.victims.size[0]])
+        # Engines cut long boxes into fixed numbers of pieces by these bounds (`engines/mjx.py`).
         if (sizes.max(-1) > self.slots.half_lengths + 1e-6).any():
             raise SpecError(f"arena {arena.name} has longer boxes than its batch has room for")
 
@@ -228,6 +231,7 @@ class ArenaSet:
         """
         serials = np.arange(len(arenas)) + generation * len(arenas)
         for serial in [one for one in self._later if one < serials[0] - KEPT_GENERATIONS * len(arenas)]:
+            # Descriptions are kept for a while only: training replaces arenas without end.
             del self._later[serial]
         self._later.update(zip(serials.tolist(), arenas, strict=True))
         return _states(arenas, self.slots, serials)

@@ -153,6 +153,7 @@ class KinematicTree:
     @cached_property
     def joint_motions(self) -> JointMotions:
         """Motion of the bodies in their parents, see `forward_kinematics`."""
+        # In double precision: only the products are rounded to single.
         rest, slides = self.rest_mat[1:].astype(float), self.slides[1:, None]
         x, y, z = self.axis[1:].astype(float).T
         zero = np.zeros_like(x)
@@ -174,6 +175,7 @@ class KinematicTree:
         """Bodies of the tree below the chassis, level by level."""
         levels, above = list[BodyLevel](), [0]
         while below := [body for body, parent in enumerate(self.parent) if parent in above]:
+            # Indices within the level above, which is all that the loop over levels has at hand.
             parents = np.array([above.index(self.parent[body]) for body in below])
             levels.append(BodyLevel(np.array(below) - 1, parents if len(above) > 1 else None))
             above = below
@@ -311,6 +313,7 @@ def forward_kinematics(tree: KinematicTree, state: RobotState) -> BodyPoses:
     """
     move, q = tree.joint_motions, state.joint_pos[..., None]
     angle = q[..., None]
+    # For all joints at once, slides too, whose factors are zero: no branch by kind.
     turned = move.fixed + xp.sin(angle) * move.sine + xp.cos(angle) * move.cosine
     away = move.offset + q * move.slide
     pos, mat = [state.pos[..., None, :]], [mat_from_quat(state.quat)[..., None, :, :]]

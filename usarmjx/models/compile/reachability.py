@@ -140,6 +140,7 @@ def surface_adjacencies(
     ground: np.ndarray, steep: np.ndarray, step: float, cell: float
 ) -> Iterator[SurfaceAdjacency]:
     """Yield the joined surfaces of neighbouring cells, for half of the directions."""
+    # Half of the directions: each entry serves both ways.
     for di, dj in (*SIDES, *CORNERS):
         (here_i, there_i), (here_j, there_j) = _slices(di), _slices(dj)
         here, there = (here_i, here_j), (there_i, there_j)
@@ -338,8 +339,10 @@ def reach_map(
     """
     grid = _grid(arena, cell)
     solids = rasterize(arena.shapes, grid)
+    # Below all solids: cells without any then have no finite ground.
     floor = 0.0 if arena.has_floor else -math.inf
     ground, steep = walkable_surfaces(solids, grid, floor, step=step, height=height, steepest=math.tan(slope))
+    # Once: eroding, labelling and spreading all walk along the same neighbours.
     links = tuple(surface_adjacencies(ground, steep, step, grid.cell))
     things = rasterize(
         [shape for thing in (*arena.loose, *arena.victims) for shape in shapes_in_arena(thing)], grid
@@ -347,11 +350,13 @@ def reach_map(
     free = np.isfinite(ground) & ~blocked(things, ground, step=step, height=height)
     # Solids are half a cell too wide already.
     steps = max(0, math.ceil(radius / grid.cell - 0.5 - CELL_TOLERANCE))
+    # Areas of the robot's middle: labelled after the edges are cut off, so that gaps too narrow part them.
     area = label_areas(erode(free, links, steps), links)
     x, y, z = (start or arena.starts[0]).at
     i, j = grid.index(x, y)
     # A start pose exactly on the upper edge has an index one past the end.
     i, j = min(i, grid.shape[0] - 1), min(j, grid.shape[1] - 1)
+    # Start poses are above the ground by the manual's elevation (5.3.5).
     under = np.flatnonzero(ground[:, i, j] <= z - START_ELEVATION + SURFACE_TOLERANCE)
     home = int(area[under[-1], i, j]) if len(under) else -1
     return ReachMap(grid=grid, ground=ground, area=area, start_area=home, links=links)

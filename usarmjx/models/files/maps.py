@@ -150,6 +150,7 @@ def overlapping_rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cel
 
 def _without_spare(found: list[Cells], shape: tuple[int, ...]) -> list[Cells]:
     """Return rectangles without those whose cells are all in others, the smallest ones first."""
+    # Counts of rectangles over each cell: one whose cells all have two is spare.
     times = np.zeros(shape, np.int32)
     for r0, r1, c0, c1 in found:
         times[r0:r1, c0:c1] += 1
@@ -303,6 +304,7 @@ def read_occupancy_grid(value: FileValue, unknown: Unknown = "free") -> Occupanc
     if given.negate:
         mean = 255 - mean
     if mode == "raw":
+        # map_server takes the picture's values for percentages here; 101 to 255 are unknown.
         wall, free = (mean >= 100 * high) & (mean <= LAST_RAW), mean < 100 * low
         lost = mean > LAST_RAW
     else:
@@ -358,12 +360,14 @@ def without_specks(wall: np.ndarray, smallest: float) -> tuple[np.ndarray, int]:
     from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
 
     tools = cast("Any", ndimage)
+    # All eight neighbours: scipy's default has the four at the sides only.
     label, count = tools.label(wall, np.ones((3, 3)))
     small = [
         number
         for number, (rows, columns) in enumerate(tools.find_objects(label), 1)
         if max(rows.stop - rows.start, columns.stop - columns.start) < smallest - 1e-9
     ]
+    # A table by label: one look-up for all cells instead of a comparison for each group. Label 0 is no group.
     drop = np.zeros(count + 1, bool)
     drop[small] = True
     return wall & ~drop[label], len(small)
@@ -417,6 +421,7 @@ def _free_position(plan: OccupancyGrid) -> tuple[float, float] | None:
 
     if not plan.free.any():
         return None
+    # Padded with cells that are not free: the edge of the map counts as a wall.
     away = np.asarray(distance(np.pad(plan.free, 1)))[1:-1, 1:-1]
     row, column = np.unravel_index(int(away.argmax()), away.shape)
     return plan.frame.there(float(column) + 0.5, float(row) + 0.5)

@@ -279,6 +279,7 @@ class SdfFiles:
         """Return a model with what its include says."""
         name = include.word("name")
         if name:
+            # The path first: it ends in the old name.
             made.path = f"{made.path.removesuffix(made.name)}{name}"
             made.name = name
         pose = include.first("pose")
@@ -322,6 +323,7 @@ class SdfFiles:
         remote = REMOTE.match(uri.strip())
         if remote is not None:
             name, inside = unquote(remote[1]), remote[2] or ""
+            # Gazebo's own store spells names with blanks; downloads are folders in any of these forms.
             names = (name, name.lower(), name.replace(" ", "_"))
             tries = [f"model://{known}/{inside}".rstrip("/") for known in names]
             return next((found for one in tries if (found := self.resources.file(one, origin))), None)
@@ -423,6 +425,7 @@ class SdfJoint:
         way = np.array([0.0, 0.0, 1.0]) if xyz is None else numbers_of(xyz, xyz.text, 3)
         base = "" if xyz is None else xyz.get("expressed_in", "")
         if self.element.word("axis/use_parent_model_frame").lower() in ("1", "true"):
+            # Before SDF 1.7, instead of `expressed_in`.
             base = MODEL_FRAME
         return (self.top.then(self.model.frame(base)) if base else self.frame).mat @ way
 
@@ -446,6 +449,7 @@ def drive_plugins(model: SdfModel) -> Iterator[LinedElement]:
     for one in all_models(model):
         for plugin in one.element.all("plugin"):
             called = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower()
+            # ROS, Gazebo Classic and the later Gazebo spell the same plugins in several ways.
             plain = called.replace("_", "").replace("-", "")
             if any(word in plain for word in (*DRIVE_PLUGINS, *MOVE_PLUGINS)):
                 yield plugin
@@ -480,6 +484,7 @@ def joint_end(joint: SdfJoint, end: str, frames: dict[str, SdfLink]) -> str | No
         if frame is None or not frame.get("attached_to"):
             break
         name = frame.get("attached_to", "")
+    # A model in the model may stand for its first link.
     inner = [path for path in frames if path.startswith(f"{joint.prefix}{name}::")]
     return inner[0] if inner else None
 

@@ -375,6 +375,7 @@ class _UrdfReader:
         for name, joint, parent in waiting:
             body = self._add_link(name, joint, parent)
             waiting += [(link_at(child, "child"), child, body) for child in joints.get(name, ())]
+        # Before the share is dealt out: this may add the root to those without mass.
         self._weigh_chassis(top, joints)
         self._weigh_massless()
         self._note_left_out(joints)
@@ -411,6 +412,7 @@ class _UrdfReader:
         if not tops:
             raise SpecError(f"{self._path}: no link is the root: links hang on each other, or there are none")
 
+        # Of several roots the others are loose links beside the robot.
         return max(tops, key=lambda name: len(self._links_below(name, joints)))
 
     def _links_below(self, top: str, joints: Mapping[str, list[LinedElement]]) -> list[str]:
@@ -453,6 +455,7 @@ class _UrdfReader:
         moves = joint is not None and self._add_joint(joint, body)
         self._add_inertia(link, body, moves=moves)
         rolls = joint is not None and joint.get("type") == "continuous"
+        # A link that carries moving ones turns without end too, and is an arm's or a turret's.
         may_be_wheel = rolls and not any(one.get("type") in MOVING for one in self._joints.get(name, ()))
         for number, solid in enumerate(self._solids_of(link, joint if may_be_wheel else None)):
             self._add_solid(solid, body, f"{name}/{number}", rolls=rolls)
@@ -465,6 +468,7 @@ class _UrdfReader:
             return solids
         given = hinge.first("axis")
         axis = np.array([1.0, 0, 0]) if given is None else attribute_numbers(given, "xyz", 3, "1 0 0")
+        # An axis of zeros stays one: the joint's reader refuses it with its line.
         axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
         if any(self._is_round(one, axis, otherwise=True) for one in solids):
             return solids
@@ -474,6 +478,7 @@ class _UrdfReader:
                 f"{solids[0].place}: the collision mesh of {link.get('name')!r}, which turns without end, is "
                 "not round: its round <visual> collides instead"
             )
+        # One alone: several round meshes of a wheel, such as tyre and rim, would collide twice.
         return looks[:1] or solids
 
     def _is_round(self, element: LinedElement, axis: np.ndarray, *, otherwise: bool) -> bool:

@@ -195,6 +195,7 @@ def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
             add_victim(builder, middle(cell), facing, "sitting", "walled in")
             continue
         toward = DIRECTIONS.index((before[0] - cell[0], before[1] - cell[1]))
+        # A slab only where the robot passes under it: else it would not come near the victim.
         highest = builder.footprint.height + builder.footprint.step if builder.kind.voids else math.inf
         if lies and before in plan.leaves() and len(plan.tree) > MIN_TREE_CELLS:
             last = plan.remove_leaf(before)
@@ -339,6 +340,7 @@ def place_obstacles(builder: ArenaBuilder) -> None:
     # A stream for each purpose: another number of obstacles moves no victim.
     draw, away = builder.random_stream("obstacles"), distances(builder.plan)
     rings = draw.shuffled(_rings(builder, away))
+    # Half the cells stay free, for start poses and clutter.
     left = min(builder.max_count("obstacles"), len(builder.plan.tree) // 2)
     heights = {name: ring_height(builder, name) for name in OBSTACLES.names()}
     for ring in rings[: math.ceil(share * len(rings))]:
@@ -372,6 +374,7 @@ def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:
     """
     farthest = max(away.values())
     rings: list[list[Cell]] = []
+    # Every other distance: between two obstacles a robot has a free cell.
     for count in range(2, farthest, 2):
         cells = [cell for cell, found in away.items() if found == count and cell in builder.plan.tree]
         beyond = any(found > count for cell, found in away.items() if cell in builder.plan.tree)
@@ -384,6 +387,7 @@ def distances(plan: CellGrid) -> dict[Cell, int]:
     """Return the number of steps from the base to each cell, around walls."""
     found: dict[Cell, int] = {START_CELL: 0}
     front: list[Cell] = [START_CELL]
+    # The list grows while it is walked: breadth first.
     for cell in front:
         for other in plan.around(cell):
             if other not in found and edge(cell, other) not in plan.walls:
@@ -463,6 +467,7 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
         )
         _fill(builder, count, reachable)
         arena = _arena(builder, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
+        # A little steeper than the steepest ridge: rounding must not close one.
         slope = 1.01 * MAX_RIDGE_SLOPE if difficulty.risk else DEFAULT_SLOPE
         if _as_stated(arena, _climbing(builder), slope):
             return arena
