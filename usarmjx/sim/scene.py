@@ -576,9 +576,8 @@ def build_scene(
     entries = unique_entries(roster)
     if mail is not None and radio is None:
         raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")
-    # Made now, so that a solid that cannot be counted is an error here and not in a step.
     if radio is not None:
-        arena_solids(arena)
+        arena_solids(arena)  # a solid that cannot be counted is an error here, not in a step
     active = sum(not entry.parked for entry in entries)
     if active > len(arena.starts):
         raise SpecError(f"{active} robots, but arena {arena.name} has {len(arena.starts)} start poses")
@@ -586,13 +585,10 @@ def build_scene(
     robots = [entry.spec for entry in entries]
     if vary is not None:
         check_randomization(vary, robots, radio is not None)
-    # In slot order, on which the addresses of `index_robot` and the rows of `Inputs` rely.
-    for slot, robot in enumerate(robots):
+    for slot, robot in enumerate(robots):  # in slot order, as `index_robot` and `Inputs` have it
         add_robot(spec, robot, prefix_of(slot), parking_position(arena, slot))
-    # After the robots: the buffers are sized by what can touch.
-    cap_contacts(spec, physics, arena, robots)
+    cap_contacts(spec, physics, arena, robots)  # after the robots, by whose geoms buffers are sized
     model = spec.compile()
-    # Robots are in the model by now: their geoms are checked, too.
     check_ray_kinds(model.geom_type.tolist(), [model.geom(i).name for i in range(model.ngeom)])
     return Scene(
         arena=arena,

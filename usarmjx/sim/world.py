@@ -349,8 +349,7 @@ def compute_inputs(
         awake = powered(scene, world, group, state)
         factors = {name: _group_values(world, group, name) for name in ("torque", "speed")}
         own = {"hold": state.hold, "stiffness": state.stiffness, **factors}
-        # Fields of a `vmap` over robots need their axis, even where they are all alike.
-        step = xp.broadcast_to(clock.step, awake.shape)
+        step = xp.broadcast_to(clock.step, awake.shape)  # `vmap` over robots needs the axis
         now = DriveConditions(step=step, powered=awake, depth=depth, solved=solved, **own)
         command, state = _delayed_command(world, group, state)
         driven = compute_actuation(
@@ -367,7 +366,6 @@ def compute_inputs(
             pinned += [(places, parked) for places in (group.root_qposadr, group.qposadr)]
             pinned_dof += [(places, parked) for places in (group.root_dofadr, group.dofadr)]
         refused = refused + driven.refused.sum().astype(xp.int32)
-        # The next step's servos go on from whether joints were held in this one.
         groups.append(state.replace(hold=driven.hold))
     inputs = Inputs(
         ctrl=set_rows(xp.zeros(scene.model.nu), *ctrl),

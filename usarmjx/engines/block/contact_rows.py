@@ -88,8 +88,7 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
         aref_out: wp.array2d[float], frictionloss_out: wp.array2d[float],
     ) -> None:
         con = wp.tid()
-        # The launch covers the whole buffer: the number of contacts is known on the GPU only.
-        if con >= count[0] or address[con, 0] < 0:
+        if con >= count[0] or address[con, 0] < 0:  # the launch covers the whole buffer
             return
         world, dim, pair = worlds[con], dims[con], geoms[con]
         one, other = weld[geom_body[pair[0]]], weld[geom_body[pair[1]]]
@@ -97,10 +96,8 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
         arm_one, arm_other = position[con] - com[world, root[one]], position[con] - com[world, root[other]]
         speeds = wp.vec3(0.0, 0.0, 0.0)
         for k in range(sizes[world, address[con, 0]]):
-            # Both chains of joints are walked together, the higher index first: a shared joint comes up once.
-            dof = wp.max(first, second)
+            dof = wp.max(first, second)  # so a joint of both chains comes up once
             turn, shift = wp.spatial_top(cdof[world, dof]), wp.spatial_bottom(cdof[world, dof])
-            # A joint above both bodies moves them alike, and its parts cancel.
             jump = float(ancestor[other, dof]) * (shift + wp.cross(turn, arm_other))
             jump -= float(ancestor[one, dof]) * (shift + wp.cross(turn, arm_one))
             parts = frame[con] * jump
@@ -110,7 +107,6 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
                     columns_out[world, 0, place] = dof
                     jacobian_out[world, 0, place] = parts[i]
                     speeds[i] += parts[i] * qvel[world, dof]
-            # Chains end at -1, which is clamped for the look-up alone.
             first = wp.where(first == dof, dof_parent[wp.max(first, 0)], first)
             second = wp.where(second == dof, dof_parent[wp.max(second, 0)], second)
         of_body = world % weights.shape[0]

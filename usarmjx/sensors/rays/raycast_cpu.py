@@ -91,10 +91,8 @@ def nearest_of_bundles(
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
     if not work or not count:
         return GeomHits(jnp.full(count, jnp.inf, jnp.float32), jnp.full(count, -1, jnp.int32))
-    # Equal pieces: full ones and a short rest would pad the rest.
-    lines, given, piece = None, rays, -(-count // -(-count // RAYS_AT_A_TIME))
-    # Pieces may cut through a fan: then rays are passed one by one.
-    if isinstance(rays, Fans) and piece < count:
+    lines, given, piece = None, rays, -(-count // -(-count // RAYS_AT_A_TIME))  # equal pieces: no padding
+    if isinstance(rays, Fans) and piece < count:  # pieces may cut through a fan
         given = rays.rays()
     elif isinstance(rays, Fans):
         lines, given = np.asarray(rays.directions, np.float32), (rays.pos, rays.mat)
@@ -125,7 +123,6 @@ def nearest_of_bundles(
     if lines is None:
         split = [bundled(x[0].T, piece).transpose(1, 2, 0) for x in split]
     exclude, wanted = (jnp.full(len(split[0]), number) for number in exclude_and_wanted)
-    # Owners as floats, as in the packed geoms, which they are compared with.
     casts = jnp.zeros(len(split[0]), jnp.int32), exclude.astype(jnp.float32), wanted
     found = merge_vmaps(run)(pack(work)[None], *casts, *split)
     return GeomHits(*(x.reshape(-1)[:count] for x in found))
