@@ -100,6 +100,7 @@ class Recording:
         self.about: dict[str, str] = {}
         self._parts: list[_Part] = []
         self._skipped, self._unread = 0, set[int]()
+        # The summary has channels and chunks at one place; without it the whole file must be read.
         self.is_complete = self._read_summary()
         if not self.is_complete:
             self._scan()
@@ -264,6 +265,7 @@ class Recording:
         wanted, latest = self._wanted([kind], world), round(time * NANO)
         # Chunks are written in order of time, so the last one that begins in time is found by bisection.
         end = bisect_right(self._parts, latest, key=lambda part: part.start)
+        # Back to front: rare kinds of messages may be many chunks ago.
         for part in reversed(self._parts[:end]):
             if not wanted.isdisjoint(part.channels):
                 for message in reversed(self._records(part)):

@@ -126,6 +126,7 @@ class Odometry(Sensor):
 
     def velocity(self, state: RobotState) -> Array:
         """Return speed ahead [m/s] and turning rate to the left [rad/s] by the spins of the wheels (2,)."""
+        # The measured radius, errors and all: what a robot believes of itself.
         speeds = state.joint_vel[..., self._pair] * self._radius
         left, right = speeds[..., 0], speeds[..., 1]
         return xp.stack([(left + right) / 2, (right - left) / self._separation], -1)
@@ -225,6 +226,7 @@ class Ins(Sensor):
             true_pos=pos[0],
             true_mat=mat[0],
             step=xp.asarray(inputs.clock.step, xp.int32),
+            # Times 0 instead of left out: memories have one structure whatever the settings.
             drift_rate=rate * float(self.settings[0].drifting),
         )
 
@@ -247,7 +249,9 @@ class Ins(Sensor):
         factor = normal_factor(key, (*rate.shape[:-1], 4), settings.mean, settings.sigma)
         rate = rate * factor[..., :3]  # 2
         drift = memory.drift_rate * elapsed
+        # The error builds up on the estimate, not on the truth: that is what makes an INS drift away.
         estimate = matmul(memory.mat, mat_from_rotation_vector(rate * span + drift[..., 3:]))  # 3
+        # In the robot's axes: the estimate then goes the same way along its own, wrong heading.
         path = matvec(mat.mT, pos - memory.true_pos)
         if settings.polar_step:
             distance = xp.linalg.norm(path, axis=-1) * xp.sign(path[..., 0])  # 4

@@ -143,6 +143,7 @@ def _nearest_tags(surroundings: Surroundings, pos: Array) -> _Tags:
     there, positions, single, ids = (_pad_tags(getattr(surroundings, name)) for name in names)
     # Missing tags sort last.
     far = xp.where(there, xp.linalg.norm(positions - pos[..., None, :], axis=-1), xp.inf)
+    # A fixed number: arrays in programs cannot grow with the tags in range.
     index = nearest(far, MAX_TAGS)
     return _Tags(
         index=index,

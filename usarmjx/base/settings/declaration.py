@@ -93,6 +93,7 @@ class Setting:
     def over(self, other: "Setting") -> "Setting":
         """Return the other note with what this one sets; a bound takes the place of both it may be."""
         own = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+        # What a note leaves at its default it does not set.
         own = {name: value for name, value in own.items() if value != getattr(NO_NOTE, name)}
         for pair in (("gt", "ge"), ("lt", "le")):
             if own.keys() & set(pair):
@@ -178,6 +179,7 @@ class SettingField:
     @property
     def nested(self) -> type | None:
         """The dataclass that holds settings of its own, if the type names one."""
+        # The arguments too: an optional dataclass is a union with None.
         members = [one for one in (self.hint, *get_args(self.hint)) if is_record(one)]
         return members[0] if len(members) == 1 and get_origin(self.hint) not in SEQUENCES else None
 
@@ -200,6 +202,7 @@ def describe(kind: type) -> tuple[SettingField, ...]:
         if isinstance(hint, Unresolved):
             text = f"{kind.__name__}.{field.name} is not checked: its type {hint.source!r} is not imported"
             warnings.warn(text, UncheckedSettingWarning, stacklevel=2)
+            # After the words about it, which name the type as it is written.
             hint = Any
         found.append(SettingField(name=field.name, hint=hint, note=note, default=default, expects=expects))
     return tuple(found)
@@ -214,6 +217,7 @@ def type_hints(kind: type) -> dict[str, Any]:
         found: dict[str, Any] = {}
         for base in reversed(kind.__mro__):
             for name, source in inspect.get_annotations(base).items():
+                # One field at a time: a single missing name must not hide the types of the others.
                 alone = type(
                     base.__name__, (), {"__annotations__": {name: source}, "__module__": base.__module__}
                 )

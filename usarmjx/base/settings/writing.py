@@ -50,6 +50,7 @@ def to_data(value: object, *, changed_only: bool = False) -> Any:  # noqa: ANN40
     if isinstance(value, int | str):  # not one of a class derived from them, as `Text`
         return str(value) if isinstance(value, str) else int(value)
     if isinstance(value, float):
+        # JSON has no infinity; a subclass of float, such as NumPy's, would not be written as a number.
         return str(float(value)) if math.isinf(value) else float(value)
     if isinstance(value, Path):
         return str(value)
@@ -58,6 +59,7 @@ def to_data(value: object, *, changed_only: bool = False) -> Any:  # noqa: ANN40
         return {str(key): to_data(item, changed_only=changed_only) for key, item in pairs}
     if isinstance(value, list | tuple | Set):
         items = cast("list[object]", value)
+        # The order of sets differs between processes: files would differ without a change.
         items = sorted(items, key=repr) if isinstance(value, Set) else items
         return [to_data(item, changed_only=changed_only) for item in items]
     if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():
@@ -66,6 +68,7 @@ def to_data(value: object, *, changed_only: bool = False) -> Any:  # noqa: ANN40
 
 
 def _same(one: object, other: object) -> bool:
+    # The type too: True equals 1, and 1 equals 1.0.
     return type(one) is type(other) and one == other
 
 
@@ -129,6 +132,7 @@ def rows_of(kind: type, base: object = None, prefix: str = "") -> list[tuple[str
         value = one.default if base is None else getattr(base, one.name)
         shown = "required" if base is None and one.required else to_text(value)
         rows.append((prefix + one.name, one.expects, shown, one.note.help))
+        # A class that holds itself would have rows without end.
         if one.nested is not None and one.nested is not kind:
             inner = value if isinstance(value, one.nested) else None
             if any(part.required for part in describe(one.nested)):

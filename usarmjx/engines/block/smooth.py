@@ -90,6 +90,7 @@ def why_not(model: mujoco.MjModel) -> str | None:
     m = untyped(model)
     option, disabled = m.opt, _MUJOCO.mjtDisableBit
     joints = np.isin(m.actuator_trnid[:, 0], np.flatnonzero(m.jnt_type >= int(_JOINT.mjJNT_SLIDE)))
+    # MuJoCo numbers its joints free, ball, slide, hinge: the first two have no single coordinate.
     loose = m.jnt_type < int(_JOINT.mjJNT_SLIDE)
     uncovered = {
         "no degrees of freedom": m.nv == 0,
@@ -162,12 +163,14 @@ def make_tables(model: mujoco.MjModel, bodies: int) -> Tables:
     tops = np.append(np.flatnonzero(m.body_parentid[1:] == 0) + 1, m.nbody)
     firsts = [1]
     for begin, end in pairwise(tops):
+        # Chunks end between subtrees only: what a body passes to its parent stays within a block.
         if end - firsts[-1] > bodies and begin > firsts[-1]:
             firsts.append(int(begin))
     edges, depth, bodies_in_order = np.array([*firsts, m.nbody]), _zeros(m.nbody), _places(m.nbody)
     chunk_of = np.searchsorted(edges, bodies_in_order, side="right") - 1
     for body in range(1, m.nbody):
         depth[body] = depth[m.body_parentid[body]] + 1
+    # The last key sorts first: chunks stay together, and within each the levels.
     order = np.lexsort([depth[1:], chunk_of[1:]]) + 1
     key: np.ndarray = chunk_of[order] * m.nbody + depth[order]
     level = np.append(np.flatnonzero(np.diff(key, prepend=-1)), len(order))
@@ -179,9 +182,11 @@ def make_tables(model: mujoco.MjModel, bodies: int) -> Tables:
         return np.searchsorted(sorted_bodies, edges)
 
     ranges = [range_of(m.jnt_bodyid), range_of(m.dof_bodyid), range_of(m.geom_bodyid)]
+    # One more entry: the last chunk ends behind the last row.
     row_ends = np.append(m.M_rowadr, m.nC)
     levels = np.searchsorted(chunk_of[order[level[:-1]]], _places(len(edges)))
     ranges = [edges, *ranges, row_ends[ranges[1]], acting, levels, range_of(tops[:-1])]
+    # Geoms of static bodies keep their poses; those on mocap bodies are moved from outside.
     static = (m.body_weldid == 0) & (m.body_mocapid[m.body_rootid] == -1)
     return Tables(
         chunk=np.stack([ends for one in ranges for ends in (one[:-1], one[1:])], axis=1),
@@ -220,6 +225,7 @@ def _actuator_tables(
     """Return the table of actuators, those of each degree of freedom, and the first of each chunk."""
     joint = m.actuator_trnid[:, 0]
     chunk = chunk_of[m.jnt_bodyid[joint]] if m.nactuator else np.zeros(0, int)
+    # Stable: within a chunk the model's order stays, in which forces are summed.
     ids = np.argsort(chunk, kind="stable")
     firsts = np.searchsorted(chunk[ids], _places(int(chunk_of.max()) + 2))
     dof, control = m.jnt_dofadr[joint[ids]], m.actuator_ctrladr[ids]
@@ -231,6 +237,7 @@ def _actuator_tables(
             m.jnt_qposadr[joint[ids]],
             dof,
             np.where(has_control, control, -1),
+            # The appended number stands for actuators without a control: their index is -1.
             np.append(m.actuator_ctrllimited, 0)[np.where(has_control, control, -1)] & clamped,
             m.actuator_forcelimited[ids],
             np.where(m.na > 0, m.actuator_actadr[ids], -1),
@@ -316,6 +323,7 @@ class SmoothDynamics:
     ) -> None:
         self.advance = Advance(model, device) if fits(model) else None
         tables = make_tables(model, bodies)
+        # Ends: `why_not` has refused models of which a single subtree is too large.
         while numbers_of(tables, threads) > MOST_NUMBERS:
             bodies //= 2
             tables = make_tables(model, bodies)
@@ -325,6 +333,7 @@ class SmoothDynamics:
         }
         self._chunks, most = len(tables.chunk), int((tables.chunk[:, 1] - tables.chunk[:, 0]).max())
         if warp.get_device(device).is_cuda:
+            # Rounded up to whole warps.
             self._threads = min(threads, most + -most % 32)
             needed = numbers_of(tables, self._threads)
             self._capacity = needed + -needed % STEP_NUMBERS
@@ -380,6 +389,7 @@ def stages(
 
     def fwd_acceleration(m: Any, d: Any, factorize: bool = False) -> None:  # noqa: ANN401
         del m, factorize
+        # Here at the latest: the solver starts from these accelerations.
         branches_of(d.qpos.device).join()
 
     def done(m: Any, d: Any) -> None:  # noqa: ANN401

@@ -58,6 +58,7 @@ class AttachedVisual:
         places, turns = (data.geom_xpos, data.geom_xmat) if self.of_geoms else (data.xpos, data.xmat)
         model = self.figure.model.__copy__()  # casting changes the geom groups
         here = mujoco.MjData(model)
+        # Frames are mocap bodies: a new pose needs no joints and no new model.
         here.mocap_pos[:] = places[self.frames]
         for quat, mat in zip(here.mocap_quat, turns[self.frames], strict=True):
             mujoco.mju_mat2Quat(quat, mat)
@@ -88,6 +89,7 @@ class ConeBundles(NamedTuple):
     @classmethod
     def of(cls, start: np.ndarray, along: np.ndarray) -> "ConeBundles":
         """Return the bundles of unit vectors (rays, 3) from a point (3,)."""
+        # Consecutive rays are neighbours in the picture: their cones are narrow.
         bounds = np.append(np.arange(0, len(along), BUNDLE_SIZE), len(along))
         axis = np.add.reduceat(along, bounds[:-1])
         axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
@@ -101,6 +103,7 @@ class ConeBundles(NamedTuple):
         square = (way * way).sum(-1)
         ahead = self.axis @ way.T
         aside = np.sqrt(np.maximum(square - ahead * ahead, 0.0))
+        # The distance of the ball's middle from the cone's side; wide cones are not tested, and meet all.
         outside = (aside * self.cosine - ahead * self.sine > radius) & (self.cosine > MIN_COSINE)
         return ~outside & (np.sqrt(square) - radius <= reach[:, None])
 
@@ -140,7 +143,9 @@ class CameraTarget:
             hidden: Geoms of this target that they pass (n,).
             hits: Distances [m] (rays,), normals (rays, 3) and geoms (rays,); changed in place.
         """
+        # The farthest hit so far of each bundle: what is behind it changes nothing.
         reach = np.maximum.reduceat(hits[0], bundles.bounds[:-1])
+        # The ball around the whole first: most robots are in few bundles' way.
         if not bundles.near(self._middle, self._ball, reach).any():
             return
         shown = bundles.near(self._centre, self._radius, reach)
@@ -178,6 +183,7 @@ class CameraTarget:
         places = np.arange(len(hits[0]))[rays][better]
         for column, own in zip(hits, found, strict=True):
             column[places] = own[better]
+        # Geoms of each model begin at 0; pictures number those of all models through.
         hits[2][places] += self._first
 
 
@@ -210,6 +216,7 @@ class CCameraRays:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, looks: GeomColors) -> None:
+        # A copy: the world goes on, and casting changes the groups of geoms.
         self.model, self.looks = model.__copy__(), looks
         self._places = {name: getattr(data, name).copy() for name in ("qpos", "mocap_pos", "mocap_quat")}
 
@@ -231,6 +238,7 @@ class CCameraRays:
             model.geom_rbound > 0, model.geom_rbound + SPHERE_MARGIN, np.inf
         )  # planes have no bound
         found, first = [CameraTarget(caster, data.geom_xpos.copy(), radius, 0)], model.ngeom
+        # Water is no target here, but has its numbers between the model's geoms and the visuals'.
         first += len(self.looks.water.owner)
         for visual in self.looks.figures:
             found.append(visual.posed(data, first))

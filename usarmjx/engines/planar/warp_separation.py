@@ -325,7 +325,9 @@ WORLD_CODE = """
 
 def lanes_for(robots: int) -> int:
     """Return the number of threads for a world of `robots` robots: a power of two."""
+    # A power of two: groups of lanes then divide a warp evenly.
     enough = 1 << (robots - 1).bit_length()
+    # Large worlds get a block of their own, with two robots a lane.
     return min(enough, WARP_LANES) if robots <= WARP_ROBOTS else enough // 2
 
 

@@ -71,6 +71,7 @@ class WarpBeam:
 @wp.func
 def _spot_falloff(cosine: float) -> float:
     share = wp.clamp((cosine - SPOT_EDGE) / (SPOT_CORE - SPOT_EDGE), 0.0, 1.0)
+    # A smooth step: no edge shows where the light begins to fall.
     return share * share * (3.0 - 2.0 * share)
 
 
@@ -91,6 +92,7 @@ def _brightest(
     beam.toward = sun
     beam.away = wp.inf
     beam.source = -1
+    # Times three: brightness counts all three colours together, and the sun's is a third in each.
     beam.light = (
         DIFFUSE * 3.0 * load_vec4(scene.lights, scene.light + 1)[1] * wp.max(wp.dot(normal, sun), 0.0)
     )
@@ -103,7 +105,9 @@ def _brightest(
         look = load_vec4(scene.lights, first + 2 * number + 1)
         way = xyz(at) - point
         distance = wp.sqrt(wp.dot(way, way))
+        # A lamp in the surface itself has no direction.
         way = way / wp.max(distance, 1.0e-9)
+        # The inverse square has no bound; near a lamp it would make everything white.
         near = wp.max(distance, MIN_LIGHT_DISTANCE)
         own = at[3] * wp.max(wp.dot(normal, way), 0.0) / (near * near)
         if are_headlights:
@@ -122,12 +126,14 @@ def _brightest(
 @wp.func
 def _cone_from_lamp(mine: bool, lamp: wp.vec3, toward: wp.vec3) -> WarpCone:
     """Return the cone from a lamp about the points of some lanes."""
+    # Lanes with other sources take part with zeros: sums over lanes need all of them.
     way = wp.where(mine, -toward, wp.vec3(0.0, 0.0, 0.0))
     axis = wp.vec3(sum_of_lanes(way[0]), sum_of_lanes(way[1]), sum_of_lanes(way[2]))
     cone = WarpCone()
     cone.axis = axis / wp.sqrt(wp.max(wp.dot(axis, axis), TINY))
     cosine = least_of_lanes(wp.where(mine, wp.dot(way, cone.axis), 1.0))
     slope = wp.sqrt(wp.max(1.0 - cosine * cosine, 0.0)) / wp.max(cosine, MIN_COSINE) + MIN_SLOPE
+    # Rays too far apart make no cone: below 0 the test lets every geom pass.
     cone.slope = wp.where(cosine < MIN_COSINE, -1.0, slope)
     cone.tip = lamp
     cone.tip_radius = CONE_MARGIN
@@ -146,6 +152,7 @@ def _cone_to_sun(mine: bool, start: wp.vec3, sun: wp.vec3) -> WarpCone:
     cone = WarpCone()
     cone.axis = sun
     cone.slope = MIN_SLOPE
+    # From the hindmost of the points, so that the cylinder holds the starts of all rays.
     cone.tip = middle + least_of_lanes(ahead) * sun
     cone.tip_radius = CONE_MARGIN + wp.sqrt(wp.max(-least_of_lanes(-wp.dot(aside, aside)), 0.0))
     return cone
@@ -201,6 +208,7 @@ def first_in_cone(  # noqa: PLR0913 - a struct of them would do no more
         candidates = lanes_in_which(near < wp.inf and near <= farthest)
         while candidates != wp.uint32(0):
             found = begin + first_lane(candidates)
+            # Clears the lowest bit that is set.
             candidates = candidates & (candidates - wp.uint32(1))
             if mine and (nearest or best.geom < 0.0):
                 at = first + geom_row(found)
@@ -219,6 +227,7 @@ def first_in_cone(  # noqa: PLR0913 - a struct of them would do no more
                     best.distance = t
                     best.geom = float(found)
         begin += width
+        # Any hit is a shadow: it ends once all lanes have one.
         if not nearest and not any_lane(mine and best.geom < 0.0):
             begin = count
     return best
@@ -241,6 +250,7 @@ def _is_dark(
     dark = wp.bool(False)
     source = wanted_source
     while any_lane(source > NO_SOURCE):
+        # Plus 1: the sun's -1 becomes 0, the least unsigned number.
         key = wp.where(source > NO_SOURCE, wp.uint32(source + 1), LAST_KEY)
         now = least_key_of_lanes(key)
         mine = key == now

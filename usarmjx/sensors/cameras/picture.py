@@ -332,6 +332,7 @@ def _first_hits(render_scene: RenderScene, viewpoint: Viewpoint, width: int, hei
     caster = GeomCaster(geoms, render_scene.appearance, xp.asarray(viewpoint.slot))
     view = camera_view(viewpoint, width, height)
     hits = caster.from_camera(view.start, view.along, SOLID_QUERY)
+    # Misses are infinite, and infinity times a direction's zero would be NaN.
     reach = xp.where(hits.geom_index >= 0, hits.distance, 0.0)[:, None]
     normal = caster.normals(hits, view.start, view.along)
     return _Seen(view, hits, normal, view.start + reach * view.along)
@@ -345,6 +346,7 @@ def _move_points(point: Array, now: GeomBlock, then: GeomBlock) -> Array:
 
 def _project(viewpoint: Viewpoint, point: Array, view: CameraView) -> Array:
     """Return the pinhole projections of points (rays, 3), to the right and down [pixels] (rays, 2)."""
+    # Rays are in order of the lenses, as many of each.
     count = len(point) // view.eyes
     eye = viewpoint.pos + xp.asarray(viewpoint.eye_offsets) @ viewpoint.mat.T
     local = (point - xp.repeat(eye, count, 0)) @ xp.asarray(viewpoint.mat)

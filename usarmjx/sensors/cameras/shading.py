@@ -231,6 +231,7 @@ def apply_textures(
     """
     kind, number = decode_texture(code)
     for index, name in enumerate(TEXTURES, start=1):
+        # Textures that do not occur cost nothing: `names` is known while a program is compiled.
         if name not in names:
             continue
         at, there = place, kind == index
@@ -331,6 +332,7 @@ def point_lights(lights: Sequence[Light], floor: float) -> PointLights:
 
 def daylight(lamps: PointLights) -> Array:
     """Return 1 if the sun lights the arena, 0 if it has lamps ()."""
+    # By the values, not by the number of lamps: arenas of a batch are padded with dark ones.
     return 1.0 - (xp.asarray(lamps.rgb) > 0).any().astype(xp.float32)
 
 
@@ -495,6 +497,7 @@ def _behind_panes(
 def _surface(
     render_scene: RenderScene, caster: Caster, first: RayHits, start: Array, along: Array
 ) -> _Surface:
+    # Misses read the first geom, since arrays have no entry for none; their values are dropped.
     hits, which = first.geom_index >= 0, xp.maximum(first.geom_index, 0)
     reach = xp.where(hits, first.distance, 0.0)
     point, normal = start.T + reach * along.T, caster.normals(first, start, along).T

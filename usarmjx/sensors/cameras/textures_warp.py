@@ -52,6 +52,7 @@ def lattice_noise(i: int, j: int, salt: int) -> float:
     mixed = wp.uint32(i) * wp.uint32(374761393) + wp.uint32(j) * wp.uint32(668265263)
     mixed = mixed + wp.uint32(salt * 974711 + 1)
     mixed = (mixed ^ (mixed >> wp.uint32(13))) * wp.uint32(1274126177)
+    # The number 2246822519 of `shading.noise`, which as a literal would not fit into Warp's int.
     mixed = (mixed ^ (mixed >> wp.uint32(16))) * wp.uint32(wp.int32(-2048144777))
     return wp.float32((mixed >> wp.uint32(8)) & wp.uint32(65535)) / 65536.0
 
@@ -127,6 +128,7 @@ def _chart(u: float, v: float, number: int) -> float:
 @wp.func
 def _hazmat(u: float, v: float, number: int, signs: wp.array[float]) -> wp.vec3:
     away = wp.abs(u) + wp.abs(v)
+    # HAZARDS is added since the remainder of a negative number is negative here, unlike in Python.
     place = (number + HAZARDS - 1) % HAZARDS * 3 + CODES * QR_SIDE + TAGS
     bar = wp.floor((u + 0.3) / 0.12)
     bars = bar >= 0.0 and bar < wp.float32(number) and u + 0.3 - 0.12 * bar < 0.07 and wp.abs(v + 0.35) < 0.12
@@ -151,6 +153,7 @@ def _tag(u: float, v: float, number: int, signs: wp.array[float]) -> float:
     row = _cell(-v, TAG_SIDE + 2) - 2
     inside = column >= 0 and column < 4 and row >= 0 and row < 4
     bits = int(signs[CODES * QR_SIDE + number % TAGS])
+    # Clamped: outside of the cells the shift would be undefined, and its result is dropped.
     bit = (bits >> wp.min(wp.max(15 - (4 * row + column), 0), 15)) & 1
     rim = column < -1 or column > 4 or row < -1 or row > 4
     return wp.where(rim or (inside and bit == 1), 1.0, BLACK)

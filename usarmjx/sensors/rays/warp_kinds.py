@@ -34,6 +34,7 @@ def _ahead(t: float) -> float:
 
 @wp.func
 def _ray_plane(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
+    # Planes are met from above only, as in MuJoCo.
     front = d[2] < -TINY
     t = wp.where(front, -o[2] / wp.where(front, d[2], -1.0), -1.0)
     inside = t >= 0.0
@@ -47,6 +48,7 @@ def _ray_box(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     near = wp.float32(-wp.inf)
     far = wp.float32(wp.inf)
     for i in range(3):
+        # Along a face the quotient is huge instead of infinite: 0 times infinity would be NaN.
         share = 1.0 / _not_zero(d[i])
         middle = o[i] * share
         half = s[i] * wp.abs(share)
@@ -58,6 +60,7 @@ def _ray_box(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
 @wp.func
 def _ball(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
     middle = -wp.dot(o, d)
+    # From the point nearest to the centre: far away, differences of squares would lose all digits.
     foot = o + middle * d
     under = radius * radius - wp.dot(foot, foot)
     root = wp.sqrt(wp.max(under, 0.0))
@@ -79,6 +82,7 @@ def _tube(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
     y = o[1] + middle * d[1]
     under = radius * radius - x * x - y * y
     half = wp.sqrt(wp.max(under, 0.0) / safe)
+    # A ray along the axis meets no side; caps and balls take it.
     hit = under >= 0.0 and flat > TINY
     return wp.where(hit, wp.vec2(middle - half, middle + half), wp.vec2(wp.inf, wp.inf))
 
@@ -137,6 +141,7 @@ def _ray_triangle(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     second = x * s[2] - y * s[1]
     third = y * s[0]
     area = s[0] * s[2]
+    # Neighbouring triangles overlap a little: rays along a common edge must not slip through.
     slack = EDGE_MARGIN * area
     inside = second >= -slack and third >= -slack and second + third <= area + slack and area > 0.0
     return wp.where(inside, _ahead(t), wp.inf)
@@ -208,6 +213,8 @@ def _box_normal(p: wp.vec3, s: wp.vec3) -> wp.vec3:
 
 @wp.func
 def _round_normal(kind: int, p: wp.vec3, s: wp.vec3) -> wp.vec3:
+    # From the nearest point of the axis within the tube: along the tube it is radial, on a ball from its
+    # middle.
     normal = _unit(wp.vec3(p[0], p[1], p[2] - wp.clamp(p[2], -s[1], s[1])))
     on_cap = s[1] - wp.abs(p[2]) < s[0] - wp.sqrt(p[0] * p[0] + p[1] * p[1])
     return wp.where(kind == CYLINDER and on_cap, wp.vec3(0.0, 0.0, 1.0), normal)
