@@ -154,6 +154,7 @@ def _rows(
         grid: The cells.
     """
     owner, i, j = _windows(low, high, grid)
+    # Widens solids by half a cell: what stands anywhere in a cell then fills its middle.
     across = np.hypot(normals[..., 0], normals[..., 1])
     offsets = offsets + np.where(normals[..., 2] > UPWARD_NORMAL_Z, 0.0, across * grid.cell / 2)
     x = grid.low[0] + (i + 0.5) * grid.cell
@@ -188,6 +189,7 @@ def _windows(low: np.ndarray, high: np.ndarray, grid: Grid) -> tuple[np.ndarray,
     each = count.prod(-1)
     _check_total(int(each.sum()))
     owner = np.repeat(np.arange(len(low)), each)
+    # Numbers within each solid's window: its first row of the list is taken off.
     index = np.arange(len(owner)) - np.repeat(np.cumsum(each) - each, each)
     return owner, first[owner, 0] + index // count[owner, 1], first[owner, 1] + index % count[owner, 1]
 

@@ -157,6 +157,7 @@ def triangle_frames(corners: np.ndarray) -> Frames:
     z = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     x = edge / length[:, None]
     y = np.cross(z, x)
+    # Three numbers are enough: the first corner is the origin, and the second lies on the x axis.
     size = np.stack([length, (other * x).sum(-1), (other * y).sum(-1)], -1)
     return first, np.stack([x, y, z], -1), size
 

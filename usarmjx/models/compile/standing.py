@@ -101,6 +101,7 @@ def varied_stance(robot: RobotSpec, wheel: float, mass: float) -> Stance:
         mass: Factor on the mass of its chassis.
     """
     usual, (model, index) = stance_of(robot), _on_ground(robot)
+    # The first body is the chassis, which is no part.
     rolls = [body for body, part in zip(index.body_ids[1:], parts_of(robot), strict=True) if part.is_wheel]
     resize_wheels(model, np.isin(model.geom_bodyid, rolls), wheel)
     chassis = index.body_ids[0]
@@ -127,6 +128,7 @@ def resize_wheels(model: mujoco.MjModel, geoms: np.ndarray, factor: float) -> No
     # The bounding volume hierarchy has the compiled sizes, so all geom pairs are tested.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
     model.geom_size[geoms, 0] *= factor
+    # Radius in x and y only: the width stays.
     model.geom_aabb[geoms, 3:5] *= factor
     model.geom_rbound[geoms] = np.linalg.norm(model.geom_size[geoms, :2], axis=-1)
 

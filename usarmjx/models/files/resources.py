@@ -84,6 +84,7 @@ class Resources:
         """Yield the folders that a package's or a model's name may mean: above the file, then elsewhere."""
         if not package or package in (".", ".."):
             return
+        # Resolved: a link may lead into the package that the file belongs to.
         for folder in origin.resolve().parents:
             if folder.name == package:
                 yield folder
@@ -103,6 +104,7 @@ class Resources:
         for variable in PATH_VARIABLES:
             for text in filter(None, os.environ.get(variable, "").split(os.pathsep)):
                 share = Path(text) / "share"
+                # ROS 2 names prefixes, in whose `share` the packages are.
                 yield share if variable == "AMENT_PREFIX_PATH" and share.is_dir() else Path(text)
 
 
@@ -113,7 +115,9 @@ def search_first(folders: Iterable[Path]) -> Callable[[], None]:
         The function that restores the search path.
     """
     before = os.environ.get(FIRST_VARIABLE)
+    # Absolute: workers may have another working directory.
     own = [str(folder.resolve()) for folder in folders]
+    # The environment, not a variable here: worker processes inherit it.
     return _set_variable(FIRST_VARIABLE, os.pathsep.join([*own, *filter(None, [before])]))
 
 
@@ -183,6 +187,7 @@ def _levels(base: Path) -> Iterator[Path]:
 def _folders(folder: Path) -> Sequence[Path]:
     try:
         with os.scandir(folder) as found:
+            # Sorted: file systems list in any order, and the first match counts.
             return sorted(Path(one.path) for one in found if one.is_dir() and not one.name.startswith("."))
     except OSError:
         return ()

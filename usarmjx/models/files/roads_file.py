@@ -80,6 +80,7 @@ def _starts(network: RouteNetwork, origin: LatLon) -> tuple[StartPose, ...]:
     for m, zone in enumerate(network.zones, 1 + len(network.segments)):
         for n, spot in enumerate(zone.spots, 1):
             mouth, middle = (np.array(to_local_xy(origin, at)) for at in spot.waypoints)
+            # The parking position is the second point of a spot (`M.N.2`).
             found.append(_start(f"{m}_{n}_2", middle, mouth))
     kept: list[StartPose] = []
     for start in found:

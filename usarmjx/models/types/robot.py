@@ -273,6 +273,7 @@ class RobotSpec:
         known = vars(self).get("_hash")
         if known is None:
             known = hash(tuple(getattr(self, one.name) for one in fields(self)))
+            # The class is frozen; the field is none of those that are compared.
             object.__setattr__(self, "_hash", known)
         return known
 
