@@ -22,6 +22,7 @@ FOLDERS = "usarmjx", "benchmarks", "tools", "examples"
 MAY_ASK = {
     "benchmarks/chaos/onlookers.py": {"websockets.asyncio.client"},
     "benchmarks/chaos/soak.py": {"urllib.request"},
+    "benchmarks/rosbridge.py": {"websockets.asyncio.client"},
 }
 """They look at a server that the benchmark has started on this machine."""
 

@@ -8,6 +8,7 @@ import pytest
 
 from tests.lands import hills, land, stones
 from usarmjx.base.backend import numpy_backend
+from usarmjx.models.compile.kinematic_tree import forward_kinematics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import StartPose
 from usarmjx.models.types.shapes import FENDER, GLASS, MATERIALS, MIRROR, SKY, Shape
@@ -15,7 +16,7 @@ from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
-from usarmjx.sim.world import caster, clock_of
+from usarmjx.sim.world import caster, clock_of, robot_states
 
 DISTANCE = 1e-4
 """How far apart distances may be [m]: a range scanner's, and single precision of tens of metres."""
@@ -90,7 +91,8 @@ def casters(world):
         ours = world.engine.caster(
             indices, moved_geom_poses(world.scene, None, clock_of(world.scene, world.world))
         )
-        return ours, caster(world.scene, world.world, world.physics).args[0]
+        bodies = [forward_kinematics(g.plan, robot_states(g, world.physics)) for g in world.scene.groups]
+        return ours, caster(world.scene, world.world, world.physics, bodies).args[0]
 
 
 def some_rays(world, cast):

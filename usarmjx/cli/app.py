@@ -172,7 +172,7 @@ COMMANDS = {
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Start here": ("demo", "list", "doctor"),
     "Train": ("train", "curves", "export"),
-    "Compare": ("eval", "teams", "sweep", "suite"),
+    "Compare": ("eval", "teams", "league", "sweep", "suite"),
     "Serve": ("serve", "console"),
     "Look": ("play", "view", "film", "plot", "replay"),
     "Arenas and robots": ("arena", "robot", "portraits", "radio-map", "calibrate"),
@@ -187,6 +187,7 @@ EXAMPLES: Mapping[str, str] = {
     "curves": "usarmjx curves runs/drive --out curves.png",
     "export": "usarmjx export runs/drive --out drive.npz",
     "eval": "usarmjx eval runs/drive",
+    "league": "usarmjx league runs/soccer --games 64",
     "teams": "usarmjx teams victim-search --out teams.png",
     "sweep": "usarmjx sweep thousand --plan",
     "suite": "usarmjx suite run baseline --split validation --out results",

@@ -168,7 +168,8 @@ def test_the_runs_on_gpus_that_are_told_of_had_the_settings_of_a_bare_command(ta
     }
     assert set(runs) == seeds
     for seed, run in runs.items():
-        config = task_config(task, gpu=True, seed=seed, checkpoint_interval=run["config"]["checkpoint_every"])
+        kept = run["config"].get("checkpoint_every") or run["config"]["checkpoint_interval"]
+        config = task_config(task, gpu=True, seed=seed, checkpoint_interval=kept)
         assert from_record(run["config"]) == config
 
 

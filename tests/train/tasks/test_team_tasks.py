@@ -86,6 +86,7 @@ def test_training_tells_tasks_how_late_their_first_episodes_begin():
         config=Config(),
         env=env,
         teacher=None,
+        rivals=None,
         _seeds=lambda: (0, None),
         _begin=lambda key: (jnp.arange(2), late, ()),
     )
