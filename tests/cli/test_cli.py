@@ -88,11 +88,13 @@ def test_a_wheel_alone_says_where_the_benchmarks_are(monkeypatch, tmp_path):
 
 def test_a_sweep_without_a_checkout_keeps_no_record(monkeypatch, tmp_path):
     """It says so before it plays anything."""
-    monkeypatch.setattr(lazy_commands, "ROOT", tmp_path)
-    monkeypatch.chdir(tmp_path)
+    here = tmp_path / "here"  # libraries keep their caches beside it
+    here.mkdir()
+    monkeypatch.setattr(lazy_commands, "ROOT", here)
+    monkeypatch.chdir(here)
     result = invoke("sweep", "run", "thousand", "--json", "x.jsonl")
     assert (result.exit_code, "benchmarks are a folder" in result.stderr) == (2, True)
-    assert not list(tmp_path.iterdir())
+    assert not list(here.iterdir())
 
 
 def test_serve_help_names_every_option():
