@@ -17,6 +17,7 @@ from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
+FACTOR = 0.5  # simulated seconds per second: slow enough for commands to get through on a busy machine
 LEANING = math.radians(30)  # a robot that leans more than this is about to fall
 STANDING = math.radians(3)  # an arm of 0.5 kg, moved by 7 kg that stand on stiff servos
 TRUTH_ATOL = 0.06  # m: GroundTruth has two decimals, and it takes a step or two to stand still again
@@ -57,7 +58,7 @@ def robot_of(name):
     """A connected client whose robot of that class stands on a flat floor."""
     world = DynamicWorld(FLAT, Physics(), 2, max_robots=1)
     world.prepare(ROBOTS.get(name))
-    with serving(world) as (port, _), Watched(world, port) as robot:
+    with serving(world, realtime_factor=FACTOR) as (port, _), Watched(world, port) as robot:
         _, place, turn = robot.start_poses()[0]
         robot.init(f"USARBot.{name}", "It", place, turn)
         yield robot
