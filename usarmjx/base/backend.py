@@ -63,7 +63,7 @@ def on_numpy() -> bool:
 
 def known_all(flags: Any) -> bool:  # noqa: ANN401 - an array of booleans
     """Return whether all flags are set; False on JAX, where a traced value decides no branch."""
-    # `count_nonzero` is faster than `all` on arrays this small.
+    # count_nonzero is faster than `all` on arrays this small.
     return _on_numpy.get() and np.count_nonzero(flags) == flags.size
 
 

@@ -265,7 +265,7 @@ def _use(path: Path) -> tuple[float, int]:
         found = [one.stat() for one in files]
     except FileNotFoundError:
         return 0.0, 0
-    # Both times: file systems mounted with `noatime` never change the first.
+    # Both times: file systems mounted with noatime never change the first.
     return max((max(s.st_atime, s.st_mtime) for s in found), default=0.0), sum(s.st_size for s in found)
 
 

@@ -193,7 +193,7 @@ def quantile_of_t(dof: np.ndarray | float) -> np.ndarray:
     functions: Any = special
     dof = np.asarray(dof, float)
     normal = functions.ndtri((1 + CONFIDENCE) / 2)
-    # `stdtrit` returns NaN for infinite degrees of freedom; the normal quantile takes its place.
+    # stdtrit returns NaN for infinite degrees of freedom; the normal quantile takes its place.
     finite = np.where(np.isfinite(dof), dof, 1.0)
     quantile = np.asarray(functions.stdtrit(finite, (1 + CONFIDENCE) / 2), float)
     return np.where(np.isfinite(dof), quantile, np.float64(normal))

@@ -106,7 +106,7 @@ def _partial_file(target: Path) -> Path:
         # Containers that share a folder share process ids. The suffix stays last for those that look at it.
         fresh = target.with_name(f".{target.stem}{PARTIAL_MARK}-{secrets.token_hex(8)}{target.suffix}")
         try:
-            # The usual permissions, less the umask; files of `tempfile` would be private.
+            # The usual permissions, less the umask; files of tempfile would be private.
             os.close(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         except FileExistsError:
             continue

@@ -195,7 +195,7 @@ def permutation(of: Any, values: Array) -> Any:  # noqa: ANN401 - a key and an a
 
 def _erf_inv(x: np.ndarray) -> np.ndarray:
     """Return the inverse error function of numbers in (-1, 1), single precision."""
-    # `log1p` keeps the digits of small x.
+    # log1p keeps the digits of small x.
     w = -np.log1p(-x * x)
     value = _polynomial(ERFINV_CENTRAL, w - np.float32(2.5))
     if (w >= 5).any():

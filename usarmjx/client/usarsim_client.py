@@ -165,7 +165,7 @@ class UsarsimClient(ClientSocket):
         """
         deadline = time.monotonic() + timeout
         while not self._messages:
-            # Not a timeout of the socket, which would hold for `sendall`, too.
+            # Not a timeout of the socket, which would hold for sendall, too.
             if not select.select([self._socket], [], [], max(0.0, deadline - time.monotonic()))[0]:
                 return None
             data = self._socket.recv(65536)

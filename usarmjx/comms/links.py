@@ -109,7 +109,7 @@ def connected_components(linked: Array) -> Array:
     Returns:
         int32 (..., robots); a robot without links has its own slot.
     """
-    # Of equal values `argmax` takes the first, which is the lowest slot.
+    # Of equal values argmax takes the first, which is the lowest slot.
     return xp.argmax(transitive_closure(linked), -1).astype(xp.int32)
 
 

@@ -68,7 +68,7 @@ def nearest(distance: Array, count: int) -> Array:
     if warp_in_use():
         from usarmjx.sensors.nearest_warp import MOST, nearest_of_rows
 
-        # On a GPU `top_k` sorts whole rows.
+        # On a GPU top_k sorts whole rows.
         if count <= distance.shape[-1] <= MOST:
             return nearest_of_rows(distance, count)
     return jax.lax.top_k(-distance, count)[1]

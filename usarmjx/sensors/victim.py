@@ -263,7 +263,7 @@ class Sound(Sensor):
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
-        # `argmax` of nothing fails; the number of victims is static.
+        # argmax of nothing fails; the number of victims is static.
         if around.mouth.shape[0] == 0:
             return memory, xp.zeros(2)
         pos, _ = self.mount_poses(inputs.bodies)
@@ -271,7 +271,7 @@ class Sound(Sensor):
         loud = xp.asarray(around.loudness) / far**2
         best = xp.argmax(loud)
         heard = apply_output_curve(noisy(key, loud[best][None], self.settings)[0], settings.output_curve)
-        # In silence `argmax` names the first victim.
+        # In silence argmax names the first victim.
         lasts = xp.where(loud[best] > 0, xp.asarray(around.duration)[best], 0.0)
         return memory, xp.stack([heard, lasts])
 

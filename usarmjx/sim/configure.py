@@ -86,7 +86,7 @@ def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec)
             (data.ctrl, actuators),
         ]
 
-    # The robot is removed and added: `recompile` keeps the state of others only.
+    # The robot is removed and added: recompile keeps the state of others only.
     values = [array[indices].copy() for array, indices in state_rows(before)]
     present = before
     try:

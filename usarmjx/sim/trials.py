@@ -632,7 +632,7 @@ class _PathFinder:
         if not len(self._points):
             return -1
         ground = self.map.ground[self._free]
-        # Squares on other floors are pushed away rather than dropped, so that `argmin` has a choice.
+        # Squares on other floors are pushed away rather than dropped, so that argmin has a choice.
         distances = np.hypot(*(self._points - (x, y)).T) + np.where(
             np.abs(ground - z) < VICTIM_REACH, 0.0, 10.0 * VICTIM_REACH
         )

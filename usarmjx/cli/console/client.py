@@ -193,7 +193,7 @@ class ConsoleClient:
 
 def failure_of(error: OSError) -> str:
     """Return why there is no connection, in words."""
-    # Failed look-ups of names have negative numbers, which `strerror` does not know.
+    # Failed look-ups of names have negative numbers, which strerror does not know.
     if error.errno and error.errno > 0:
         return os.strerror(error.errno)
     return str(error) or f"no answer in {TIMEOUT:g} s"
@@ -261,7 +261,7 @@ async def run_script(
             if listener.done():
                 listener.result()  # what is shown goes nowhere
             await talk.carry_out(line.strip(), patience)
-        # Not `wait_for`, which cancels the listener and raises when the time is up.
+        # Not wait_for, which cancels the listener and raises when the time is up.
         await asyncio.wait([listener], timeout=linger)
         if listener.done():
             listener.result()
@@ -367,7 +367,7 @@ async def _lines_of(pipe: int) -> AsyncIterator[str]:
     reader, loop = asyncio.StreamReader(), asyncio.get_running_loop()
 
     def take() -> None:
-        # What there is, without waiting: the stream's `readline` would block the loop.
+        # What there is, without waiting: the stream's readline would block the loop.
         data = os.read(pipe, READ_SIZE)
         if data:
             reader.feed_data(data)

@@ -88,7 +88,7 @@ def description_key(robot: RobotSpec) -> str:
     """Return a digest of a robot's physics; a measurement is valid only for the digest it was made with."""
     spec = mujoco.MjSpec()
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
-    # `to_xml` needs a compiled description.
+    # to_xml needs a compiled description.
     spec.compile()
     motors = [part.motor for part in parts_of(robot)]
     # Drive and motors are not in MuJoCo's description, but change how the robot answers.

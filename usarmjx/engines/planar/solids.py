@@ -196,7 +196,7 @@ def project_geoms(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> Pla
     # The first side follows the more level one of the two other axes.
     level = jnp.argmin(jnp.where(jnp.arange(3) == up[:, None], 2.0, upright), -1)
     first = jnp.take_along_axis(mat, level[:, None, None], 2)[:, :2, 0]
-    # An axis of length 0 would be one that stands upright, which `argmin` avoids.
+    # An axis of length 0 would be one that stands upright, which argmin avoids.
     axis = first / jnp.maximum(jnp.linalg.norm(first, axis=-1, keepdims=True), 1e-6)
     along = jnp.abs(axis[:, :1] * mat[:, 0] + axis[:, 1:] * mat[:, 1])
     across = jnp.abs(-axis[:, 1:] * mat[:, 0] + axis[:, :1] * mat[:, 1])

@@ -112,7 +112,7 @@ def rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
         edges = np.flatnonzero(np.diff(left[row].astype(np.int8), prepend=0, append=0))
         for start, stop in edges.reshape(-1, 2).tolist():
             below = np.asarray(left[row:, start:stop].all(axis=1))
-            # `argmin` of booleans is the first False, and 0 where there is none.
+            # argmin of booleans is the first False, and 0 where there is none.
             end = row + (len(below) if below.all() else int(below.argmin()))
             left[row:end, start:stop] = False
             found.append((row, end, start, stop))

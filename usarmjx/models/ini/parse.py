@@ -398,7 +398,7 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
     """
     blocks = _Blocks()
     count = 0
-    # Not `splitlines`, which also splits at form feeds and Unicode's separators.
+    # Not splitlines, which also splits at form feeds and Unicode's separators.
     for number, text_line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
         bare = text_line.strip()
         if not bare or bare.startswith((";", "//")):

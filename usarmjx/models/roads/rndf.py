@@ -67,7 +67,7 @@ class RoadLines:
         if isinstance(source, Path) or "\n" not in source:
             self.file = text
             data = read_bounded(Path(source), MAX_ROAD_FILE_BYTES)
-            # Not `splitlines`, which breaks at form feeds too: numbers of lines would differ from an
+            # Not splitlines, which breaks at form feeds too: numbers of lines would differ from an
             # editor's.
             text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
         # Checks of the whole know items, not lines: this leads from one to the other.

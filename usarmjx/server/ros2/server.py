@@ -281,7 +281,7 @@ class ParameterServices:
 def _is_below(name: str, prefixes: list[str], depth: int) -> bool:
     if not prefixes:
         return depth == 0 or name.count(SEPARATOR) < depth
-    # Whole parts only: prefix `R1` must not find `R10.robot_description`.
+    # Whole parts only: prefix `R1` must not find R10.robot_description.
     below = [prefix for prefix in prefixes if name == prefix or name.startswith(prefix + SEPARATOR)]
     return any(depth == 0 or name[len(prefix) :].count(SEPARATOR) <= depth for prefix in below)
 
