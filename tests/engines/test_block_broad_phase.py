@@ -80,9 +80,8 @@ def test_pairs_are_those_of_mujoco_warp_but_for_some_far_apart(arena: str, roste
     assert tests < 0.7 * len(own) * len(found)
 
 
-@pytest.mark.parametrize("kernels", ["one launch", "two launches", "threads of a GPU"])
-def test_groups_whose_boxes_overlap_are_found_by_all_kernels(kernels: str, monkeypatch: pytest.MonkeyPatch):
-    """Pairs of geoms are the same by one launch, two, and with groups listed as on a GPU."""
+def test_groups_whose_boxes_overlap_are_found_by_threads_of_a_gpu():
+    """Pairs of geoms are the same with groups listed as on a GPU."""
     model, found = states("yellow", ["P2AT", "Talon"], 2)
     mjw = import_module("mujoco.mjx.third_party.mujoco_warp")
     m, d = mjw.put_model(model), mjw.make_data(model, nworld=len(found), naconmax=ROOM, njmax=400)
@@ -90,10 +89,6 @@ def test_groups_whose_boxes_overlap_are_found_by_all_kernels(kernels: str, monke
     mjw.kinematics(m, d)
     table = make_table(model, m.nxn_geom_pair_filtered.numpy(), (m.nxn_pairid_filtered.numpy() >= 0).any(1))
     right = near_pairs(m, d, BroadPhase(table))
-    if kernels != "threads of a GPU":
-        monkeypatch.setattr(broad_phase, "TOGETHER", kernels == "one launch")
-        assert near_pairs(m, d, BroadPhase(table)) == right
-        return
     if COMPILER is None:
         pytest.skip("needs a C++ compiler")
     shapes = {name: getattr(m, f"geom_{name}").numpy() for name in ("aabb", "rbound", "margin", "gap")}

@@ -118,7 +118,7 @@ def test_boxes_around_a_path_find_the_same_contacts(boxes):
             found += data.ncon
         assert all((tree == trees[0]).all() for tree in trees)
     assert found > 12
-    # Whoever moves them without a path has the boxes of the poses alone.
+    # Without a path the boxes are those of the poses alone.
     exact = model.__copy__()
     MovedBody(exact, ids).move(exact, path.pos[0], path.quat[0])
     body.move(model, path.pos[0], path.quat[0])

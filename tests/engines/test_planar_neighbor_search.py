@@ -67,7 +67,7 @@ SCENES = {
 
 @lru_cache(maxsize=1)
 def compared(scene):
-    """What both found in each step, around robots and below them, where worlds come to by JAX."""
+    """Findings of both kernels in each step, around robots and below them, in the worlds that JAX stepped."""
     looks, grounds = [], []
 
     def keep(kept, *what):

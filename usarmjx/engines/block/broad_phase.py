@@ -30,8 +30,6 @@ SLACK = wp.constant(1e-4)
 ANY = -1
 """Group of pairs that are always tested: those with margins of their own, and those with planes."""
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
-TOGETHER = True
-"""Whether one launch does both, with boxes in shared memory; to be compared with one for each."""
 THREADS = 128
 """Threads of a block, which handles a world."""
 HELD_GROUPS = 512
@@ -71,7 +69,7 @@ def make_table(model: mujoco.MjModel, pairs: np.ndarray, own: np.ndarray) -> Tab
         own: Which of them have settings of their own (pairs,).
     """
     tree = _trees_of_geoms(model)
-    # What does not move has no tree: each such geom is a group of its own, or one box would span the arena.
+    # Fixed geoms have no tree: each is a group of its own, or one box would span the arena.
     group = np.where(tree >= 0, tree, int(tree.max(initial=-1)) + 1 + np.arange(model.ngeom))
     used, place = np.unique(group, return_inverse=True)
     # Stable: geoms of a group stay in the order of their ids.
@@ -104,44 +102,6 @@ def _convex_kinds(kinds: np.ndarray) -> np.ndarray:
 def _trees_of_geoms(model: Any) -> np.ndarray:  # noqa: ANN401 - more of MuJoCo than its stubs have
     """Return the kinematic tree of each geom (ngeom,), -1 for what does not move."""
     return np.asarray(model.body_treeid)[model.geom_bodyid]
-
-
-@wp.kernel(enable_backward=False, grid_stride=False)
-def group_boxes(  # noqa: PLR0913 - a kernel's arguments are its buffers
-    aabb: wp.array3d[wp.vec3],
-    rbound: wp.array2d[float],
-    margin: wp.array2d[float],
-    gap: wp.array2d[float],
-    geoms: wp.array[int],
-    first: wp.array[int],
-    xpos: wp.array2d[wp.vec3],
-    xmat: wp.array2d[wp.mat33],
-    low_out: wp.array2d[wp.vec3],
-    high_out: wp.array2d[wp.vec3],
-) -> None:
-    """Find the boxes of the groups of all worlds, their margins included."""
-    world, group = wp.tid()
-    low = wp.vec3(FAR, FAR, FAR)
-    high = -low
-    for k in range(first[group], first[group + 1]):
-        geom = geoms[k]
-        turn = xmat[world, geom]
-        shape = world % aabb.shape[0]
-        half = aabb[shape, geom, 1]
-        middle = xpos[world, geom]
-        # Planes have no radius: their boxes reach everywhere.
-        side = wp.vec3(FAR, FAR, FAR)
-        if rbound[world % rbound.shape[0], geom] > 0.0:
-            reach = margin[world % margin.shape[0], geom] + gap[world % gap.shape[0], geom]
-            middle += turn * aabb[shape, geom, 0]
-            for i in range(3):
-                side[i] = reach + SLACK
-                for j in range(3):
-                    side[i] += wp.abs(turn[i, j]) * half[j]
-        low = wp.min(low, middle - side)
-        high = wp.max(high, middle + side)
-    low_out[world, group] = low
-    high_out[world, group] = high
 
 
 NEAR_CODE = """
@@ -335,44 +295,6 @@ def worlds_kernel(*settings: int) -> Any:  # noqa: ANN401
     return near_pairs_of_worlds
 
 
-@cache
-def pairs_kernel(*settings: int) -> Any:  # noqa: ANN401
-    """Return the kernel that lists pairs of geoms by a thread for each pair of groups, given their boxes."""
-    list_pairs = pairs_function(*settings)
-
-    # fmt: off
-    @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
-    def near_pairs(  # noqa: PLR0913 - as above
-        geom_type: wp.array[int], aabb: wp.array3d[wp.vec3], rbound: wp.array2d[float],
-        margin: wp.array2d[float], gap: wp.array2d[float],
-        own_margin: wp.array2d[float], own_gap: wp.array2d[float],
-        pairs: wp.array[wp.vec2i], ids: wp.array[wp.vec2i], groups: wp.array[wp.vec2i],
-        first: wp.array[int], order: wp.array[int],
-        convex: wp.array2d[int], xpos: wp.array2d[wp.vec3], xmat: wp.array2d[wp.mat33],
-        room: int, convex_room: int,
-        low: wp.array2d[wp.vec3], high: wp.array2d[wp.vec3],
-        count_out: wp.array[int], pair_out: wp.array[wp.vec2i], id_out: wp.array[wp.vec2i],
-        world_out: wp.array[int], convex_count: wp.array[int], convex_pair: wp.array2d[wp.vec2i],
-        convex_id: wp.array2d[wp.vec2i], convex_world: wp.array2d[int],
-    ) -> None:
-        world, which = wp.tid()
-        one, other = groups[which][0], groups[which][1]
-        near = True
-        if one >= 0:
-            for i in range(3):
-                if low[world, one][i] > high[world, other][i] or low[world, other][i] > high[world, one][i]:
-                    near = False
-        if near:
-            list_pairs(
-                world, which, geom_type, aabb, rbound, margin, gap,
-                own_margin, own_gap, pairs, ids, first, order, convex, xpos, xmat, room, convex_room,
-                count_out, pair_out, id_out, world_out, convex_count, convex_pair, convex_id, convex_world,
-            )
-    # fmt: on
-
-    return near_pairs
-
-
 @wp.kernel(enable_backward=False, grid_stride=False)
 def append_convex_pairs(  # noqa: PLR0913 - as above
     convex_count: wp.array[int],
@@ -438,19 +360,17 @@ class BroadPhase:
         convex = self._convex_lists(d.naccdmax)
         found = [d.ncollision, context.collision_pair, context.collision_pairid, context.collision_worldid]
         inputs = [m.geom_type, *shapes, *own, *lists, self._convex, *poses, d.naconmax, d.naccdmax]
-        if TOGETHER:
-            held = self.groups <= HELD_GROUPS and d.qpos.device.is_cuda
-            # One number where shared memory holds the boxes: the kernel takes an array all the same.
-            boxes = wp.empty(1 if held else 6 * d.nworld * self.groups, dtype=float)
-            listed = wp.empty(d.nworld * self.group_pairs, dtype=int)
-            more = [self._geoms, self._first_geom, boxes, listed]
-            dim, options, kernel = (d.nworld, THREADS), {"block_dim": THREADS}, worlds_kernel(*settings)
-        else:
-            more = [wp.empty((d.nworld, self.groups), dtype=wp.vec3) for _ in range(2)]
-            geoms = [*shapes, self._geoms, self._first_geom, *poses]
-            wp.launch(group_boxes, dim=(d.nworld, self.groups), inputs=geoms, outputs=more)
-            dim, options, kernel = (d.nworld, self.group_pairs), {}, pairs_kernel(*settings)
-        wp.launch(kernel, dim=dim, inputs=[*inputs, *more], outputs=[*found, *convex], **options)
+        held = self.groups <= HELD_GROUPS and d.qpos.device.is_cuda
+        # One number where shared memory holds the boxes: the kernel takes an array all the same.
+        boxes = wp.empty(1 if held else 6 * d.nworld * self.groups, dtype=float)
+        listed = wp.empty(d.nworld * self.group_pairs, dtype=int)
+        wp.launch(
+            worlds_kernel(*settings),
+            dim=(d.nworld, THREADS),
+            inputs=[*inputs, self._geoms, self._first_geom, boxes, listed],
+            outputs=[*found, *convex],
+            block_dim=THREADS,
+        )
         if not self.convex_kinds:
             return
         wp.launch(

@@ -176,7 +176,7 @@ class Ball:
         rub = tuple(-grip * part / size for part in slip)
         torque = cross(back, rub)
         spin = tuple(w + SPIN * part / self.radius**2 for w, part in zip(now.spin, torque, strict=True))
-        # What friction lifts falls back on the floor: the ball stays at its height.
+        # Friction may lift the ball, which falls back on the floor: it stays at its height.
         linear = now.linear[0] + impulse * x + rub[0], now.linear[1] + impulse * y + rub[1]
         return now._replace(linear=linear, spin=spin)
 

@@ -382,7 +382,7 @@ WORLD_CODE = """
 
 
 def threads_for(robots: int) -> int:
-    """Return the threads of a block for a world of so many robots: no warp without a robot."""
+    """Return the threads of a block for a world of some robots: no warp without a robot."""
     return min(32 * max(robots, 1), THREADS)
 
 
