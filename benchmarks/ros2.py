@@ -200,10 +200,22 @@ def summary_of(record: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Read the command line, and measure."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--read", nargs=3, help="the reader's process: transport, endpoint, seconds")
+def measure_by_command(
+    about: str | None, reader: str, read: Callable[[str, str, str], None], run: Callable[..., str]
+) -> None:
+    """Read the command line of a benchmark of served robots, and measure, or read in a process of its own.
+
+    Args:
+        about: Description of the command.
+        reader: Words of a reader's process, the last of which is its time [s].
+        read: Reads topics, as these words say.
+        run: Measures robots for some seconds, some times.
+
+    Raises:
+        UsageError: No robots or repeats.
+    """
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--read", nargs=3, help=f"the reader's process: {reader}")
     parser.add_argument("--robots", type=int, default=16)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--repeats", type=int, default=1)
@@ -211,11 +223,20 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=None)
     given = parser.parse_args()
     if given.read:
-        read_topics(given.read[0], given.read[1], float(given.read[2]))
+        read(*given.read)
         return
     if given.robots < 1 or given.repeats < 1:
         raise UsageError("--robots and --repeats are at least 1")
     print(run(given.robots, given.seconds, given.repeats, BaselineOptions(json=given.json, note=given.note)))
+
+
+def main() -> None:
+    """Read the command line, and measure."""
+
+    def read(transport: str, endpoint: str, seconds: str) -> None:
+        read_topics(transport, endpoint, float(seconds))
+
+    measure_by_command(__doc__, "transport, endpoint, seconds", read, run)
 
 
 if __name__ == "__main__":

@@ -5,22 +5,26 @@ this process, and reads all their topics but pictures by one websocket in anothe
 only processor times count.
 """
 
-import argparse
 import asyncio
 import json
 import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.cases import BaselineOptions
-from benchmarks.ros2 import SETTLING, serve_robots, speeds_of, summary_of, topics_without_pictures
+from benchmarks.ros2 import (
+    SETTLING,
+    measure_by_command,
+    serve_robots,
+    speeds_of,
+    summary_of,
+    topics_without_pictures,
+)
 from benchmarks.tools import run_case
-from usarmjx.base.errors import UsageError
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.server import BotServer
@@ -152,22 +156,12 @@ def run(robots: int, seconds: float, repeats: int, options: BaselineOptions) -> 
 
 def main() -> None:
     """Read the command line, and measure."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--read", nargs=3, help="the reader's process: port, compression, seconds")
-    parser.add_argument("--robots", type=int, default=16)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--note", default="")
-    parser.add_argument("--json", type=Path, default=None)
-    given = parser.parse_args()
-    if given.read:
-        port, compression, seconds = given.read
+
+    def read(port: str, compression: str, seconds: str) -> None:
         topics = json.loads(sys.stdin.readline())
         print(json.dumps(asyncio.run(read_topics(int(port), compression, topics, float(seconds)))))
-        return
-    if given.robots < 1 or given.repeats < 1:
-        raise UsageError("--robots and --repeats are at least 1")
-    print(run(given.robots, given.seconds, given.repeats, BaselineOptions(json=given.json, note=given.note)))
+
+    measure_by_command(__doc__, "port, compression, seconds", read, run)
 
 
 if __name__ == "__main__":

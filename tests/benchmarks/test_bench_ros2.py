@@ -1,13 +1,9 @@
 """The record of the cost of a ROS 2 node: rates are the inverses of measured costs, and fit the schema."""
 
-import copy
-import json
-
 import pytest
 
 from benchmarks import ros2
-from benchmarks.cases import BaselineOptions
-from tests.benchmarks.records import faults
+from tests.benchmarks.records import check_rates, check_refusals, measured
 
 COSTS = {"off": 0.2, "dds": 0.4, "zenoh": 0.5}
 
@@ -20,27 +16,12 @@ def record(tmp_path, monkeypatch):
         counts = {"dropped": 0, "sent": 5} if kind != "off" else {}
         return {"cpu_per_simulated_s": COSTS[kind], "realtime_factor": 1.0, **read, **counts}
 
-    monkeypatch.setattr(ros2, "measure", measure)
-    file = tmp_path / "ros2.jsonl"
-    summary = ros2.run(3, 2.0, 2, BaselineOptions(json=file, note=""))
-    assert "zenoh: 0.500, 100 messages/s" in summary
-    (line,) = file.read_text().splitlines()
-    return json.loads(line)
+    return measured(ros2, measure, tmp_path, monkeypatch, "zenoh: 0.500, 100 messages/s")
 
 
 def test_a_record_fits_the_schema_and_its_rates_are_inverse_costs(record):
-    assert faults(record) == []
-    rates = record["rates"] | record["baselines"]
-    assert {name: one["rate"] for name, one in rates.items()} == {
-        "off": 5.0, "dds": 2.5, "dds_unread": 2.5, "zenoh": 2.0, "zenoh_unread": 2.0
-    }  # fmt: skip
-    assert {one["repeats"] for one in rates.values()} == {2}
+    check_rates(record, {"off": 5.0, "dds": 2.5, "dds_unread": 2.5, "zenoh": 2.0, "zenoh_unread": 2.0})
 
 
 def test_the_schema_refuses_a_record_that_lacks_a_transport_or_a_cost(record):
-    for name in ("rates", "rows"):
-        lacking = copy.deepcopy(record)
-        del lacking[name]["zenoh"]
-        assert any("'zenoh' is a required property" in fault for fault in faults(lacking))
-    del record["rows"]["off"][0]["cpu_per_simulated_s"]
-    assert any("'cpu_per_simulated_s' is a required property" in fault for fault in faults(record))
+    check_refusals(record, "zenoh")

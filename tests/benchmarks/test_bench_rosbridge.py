@@ -1,13 +1,9 @@
 """The record of the cost of rosbridge: rates are inverse costs; frames are known by topic."""
 
-import copy
-import json
-
 import pytest
 
 from benchmarks import rosbridge
-from benchmarks.cases import BaselineOptions
-from tests.benchmarks.records import faults
+from tests.benchmarks.records import check_rates, check_refusals, measured
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.encodings import Compression, publication
 
@@ -21,30 +17,15 @@ def record(tmp_path, monkeypatch):
         read = {"messages_per_s": 100.0, "topics_heard": 9, "topics": 9} if compression else {}
         return {"cpu_per_simulated_s": COSTS[compression], "realtime_factor": 1.0, **read}
 
-    monkeypatch.setattr(rosbridge, "measure", measure)
-    file = tmp_path / "rosbridge.jsonl"
-    summary = rosbridge.run(3, 2.0, 2, BaselineOptions(json=file, note=""))
-    assert "cbor: 0.400, 100 messages/s" in summary
-    (line,) = file.read_text().splitlines()
-    return json.loads(line)
+    return measured(rosbridge, measure, tmp_path, monkeypatch, "cbor: 0.400, 100 messages/s")
 
 
 def test_a_record_fits_the_schema_and_its_rates_are_inverse_costs(record):
-    assert faults(record) == []
-    rates = record["rates"] | record["baselines"]
-    assert {name: one["rate"] for name, one in rates.items()} == {
-        "off": 5.0, "unread": 4.0, "json": 2.0, "cbor": 2.5
-    }  # fmt: skip
-    assert {one["repeats"] for one in rates.values()} == {2}
+    check_rates(record, {"off": 5.0, "unread": 4.0, "json": 2.0, "cbor": 2.5})
 
 
 def test_the_schema_refuses_a_record_that_lacks_an_encoding_or_a_cost(record):
-    for name in ("rates", "rows"):
-        lacking = copy.deepcopy(record)
-        del lacking[name]["cbor"]
-        assert any("'cbor' is a required property" in fault for fault in faults(lacking))
-    del record["rows"]["off"][0]["cpu_per_simulated_s"]
-    assert any("'cpu_per_simulated_s' is a required property" in fault for fault in faults(record))
+    check_refusals(record, "cbor")
 
 
 @pytest.mark.parametrize("compression", [Compression.NONE, Compression.CBOR])
