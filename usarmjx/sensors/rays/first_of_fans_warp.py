@@ -71,30 +71,28 @@ def _count_before(votes: wp.uint32) -> int: ...
 def _wait_for_lanes() -> None: ...
 
 
-# One function that writes or reads, so that both know one array in shared memory; likewise below.
-@wp.func_native(f"""
+def _shared_code(kind: str, value: str) -> str:
+    """Return code that writes a value to a warp's list in shared memory, or, if it is negative, reads one.
+
+    One function does both, so that both know one array.
+    """
+    return f"""
 #if defined(__CUDA_ARCH__)
-    __shared__ int listed[{BLOCK_DIM // 32}][{MOST_GEOMS}];
-    int* const mine = listed[threadIdx.x >> 5];
-    if (geom >= 0) mine[place] = geom;
-    return geom >= 0 ? geom : mine[place];
+    __shared__ {kind} listed[{BLOCK_DIM // 32}][{MOST_GEOMS}];
+    {kind}* const mine = listed[threadIdx.x >> 5];
+    if ({value} >= 0) mine[place] = {value};
+    return {value} >= 0 ? {value} : mine[place];
 #else
-    return geom;
+    return {value};
 #endif
-""")
+"""
+
+
+@wp.func_native(_shared_code("int", "geom"))
 def _shared_list(place: int, geom: int) -> int: ...
 
 
-@wp.func_native(f"""
-#if defined(__CUDA_ARCH__)
-    __shared__ float gaps[{BLOCK_DIM // 32}][{MOST_GEOMS}];
-    float* const mine = gaps[threadIdx.x >> 5];
-    if (gap >= 0.0f) mine[place] = gap;
-    return gap >= 0.0f ? gap : mine[place];
-#else
-    return gap;
-#endif
-""")
+@wp.func_native(_shared_code("float", "gap"))
 def _shared_gaps(place: int, gap: float) -> float: ...
 
 

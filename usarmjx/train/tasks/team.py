@@ -463,8 +463,8 @@ class TeamTask(Task):
         body = safety.footprint_of(members.robot)
         if body is None or not has_scanner(members):
             return action
-        slots, scan = members.slots, scan_of(view, group, belief.pose[members.slots])
-        at = scanner_poses(members, jnp.zeros((len(slots), 3)))
+        slots, scanner = members.slots, members.suite.sensors[members.suite.index("RangeScanner")]
+        at = scanner_poses(members, jnp.zeros((1, 3)))[0]
         outlines = np.zeros((scene.num_robots, 8, 2), np.float32)
         for each in scene.groups:
             outlines[each.slots] = safety.outline(*safety.box_of(each.robot))
@@ -473,19 +473,14 @@ class TeamTask(Task):
         age = jnp.where(other, view.time - belief.heard_time[slots], jnp.inf)
 
         def one(
-            command: jax.Array,
-            at: jax.Array,
-            ranges: jax.Array,
-            pose: jax.Array,
-            heads: jax.Array,
-            age: jax.Array,
+            command: jax.Array, ranges: jax.Array, pose: jax.Array, heads: jax.Array, age: jax.Array
         ) -> jax.Array:
-            seen = safety.beam_points(scan.settings, at, ranges)
+            seen = safety.beam_points(scanner.settings[0], at, ranges)
             mates = safety.mate_points(pose, heads[:, :3], age, outlines)
             return safety.safe_command(body, seen, mates, command)
 
-        facts = action, at, scan.ranges, belief.pose[slots], belief.mate_headers[slots], age
-        return jax.vmap(one)(*facts)
+        ranges = view.sensor(group, "RangeScanner")
+        return jax.vmap(one)(action, ranges, belief.pose[slots], belief.mate_headers[slots], age)
 
     def drive_values(
         self, view: TaskView, memory: TeamMemory, group: RobotGroup, action: jax.Array
