@@ -28,7 +28,7 @@ CURVE = ((0.0, 0.0), (2.0, 1.0), (4.0, 5.0))
 
 
 def sonar(name: str, **keys: object) -> Mount:
-    """One that is deaf to the floor, unless told otherwise."""
+    """One that is deaf to the floor, by default."""
     return Mount(kind="Sonar", name=name, at=AHEAD, options=options(**{"MaxIncidence": 1.309} | keys))
 
 

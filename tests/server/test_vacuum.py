@@ -131,7 +131,7 @@ def test_what_moves_farther_than_the_suction_length_is_lost(shift, after):
 
 
 def test_a_vacuum_that_met_nothing_is_closed_and_empty_until_it_opens():
-    """As in the source: Operate casts its ray when it is told to close, and then holds what it has."""
+    """As in the source: Operate casts its ray when it closes, and then keeps its object."""
     client = joined(cube(0.5))
     say(client, CLOSE)
     assert status(client) == CLOSED

@@ -85,7 +85,7 @@ def ensure_pool_size() -> None:
     global _raised_from, _started_before_us
     if _requested_pool_size() >= MIN_THREADS or pool_fits_cores():
         return
-    # JAX reads NPROC once, when its backend starts: too late is remembered, and told by engine `jax`.
+    # JAX reads NPROC once, when its backend starts: engine `jax` reports a setting that comes too late.
     _started_before_us, _raised_from = _backend_runs(), (os.environ.get("NPROC"),)
     os.environ["NPROC"] = str(MIN_THREADS)
 

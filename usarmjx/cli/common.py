@@ -51,7 +51,7 @@ class ErrorExit:
 
     def __enter__(self) -> None:
         """Begin; from now on old names of settings are reported, a line each."""
-        # Entered by hand: the filters must hold until `__exit__`, over the caller's block.
+        # `__enter__` is called here: the filters must hold until `__exit__`, over the caller's block.
         self._warnings = warnings.catch_warnings()
         self._warnings.__enter__()
         warnings.simplefilter("always", RenamedSettingWarning)

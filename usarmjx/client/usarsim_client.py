@@ -218,7 +218,7 @@ class UsarsimClient(ClientSocket):
         """
         self.send("INIT", ClassName=class_name, Name=name, Location=location, Rotation=rotation)
         status = self._wait_for("STA", f"a report of the new {class_name}")
-        # Whoever iterates wants the first status, too.
+        # An iterator yields the first status, too.
         self._messages.appendleft(status)
         return status
 

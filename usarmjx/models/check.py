@@ -224,7 +224,7 @@ class ArenaProbe:
     def _inside(self, start: StartPose) -> dict[str, float]:
         """Return the solids that overlap the robot at a start pose, with their depths."""
         x, y, z = start.at
-        # Where the robot is put, not where the pose is: wheels on the ground under it.
+        # The robot is put on the ground under the pose: its wheels touch it.
         height = self._arena.floor + z - START_ELEVATION + kinematic_tree_of(self._robot).clearance
         self._set_robot_pose((x, y, height), start.yaw)
         found: dict[str, float] = {}

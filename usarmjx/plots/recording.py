@@ -302,7 +302,7 @@ def _colour(place: int) -> str:
 def _draw_ways(axes: Axes, mission: RecordedMission) -> None:
     """Draw the plan, where beams ended, the robots' ways and the victims that were met."""
     draw_plan(axes, mission.arena, words=False, starts=False)
-    # As pixels, since so many points would make a vector file huge.
+    # As pixels, since these points would make a vector file huge.
     axes.plot(*mission.scans.T, ".", ms=1.0, color=SCAN, alpha=0.4, zorder=6, rasterized=True, **INSIDE)
     for place, way in enumerate(mission.ways):
         _draw_way(axes, way, _colour(place))

@@ -173,7 +173,7 @@ class Transforms:
             self._drawing = drawing
             self._names = [frame_id(drawing, body) for body in range(len(drawing.bodies))]
         sent = frame.shown
-        # Whoever begins to watch in the middle needs bodies at rest, too.
+        # A viewer that joins in the middle needs bodies at rest, too.
         if is_new or frame.time >= self._all_due:
             self._all_due = frame.time + ALL_PERIOD
         else:

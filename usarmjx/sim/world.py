@@ -63,7 +63,7 @@ def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
         low, high = np.array(water.low), np.array(water.high)
         inside = (pos[..., :2] >= low[:2]).all(-1) & (pos[..., :2] <= high[:2]).all(-1)
         here = inside & (pos[..., 2] >= low[2] + arena.floor)
-        # Where bodies of water overlap, the later one counts.
+        # Of overlapping bodies of water the later one counts.
         depth = xp.where(here, high[2] + arena.floor - pos[..., 2], depth)
     return depth
 

@@ -331,7 +331,7 @@ class UserPanel:
             followed: Slot of the robot that this user's view is attached to; None: none.
         """
         drawing = self._page.drawing
-        # Only when that changes, or a choice by hand would be undone at the next update.
+        # Only when that changes, or the next update would undo a user's choice.
         if followed != self._followed:
             self._followed = followed
             if followed is not None and followed in self._names:

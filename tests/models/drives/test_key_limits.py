@@ -1,4 +1,4 @@
-"""Limits of the keys of DRIVE: each key is limited by itself, whatever the others are told."""
+"""Limits of the keys of DRIVE: each key is limited by itself, whatever the others' values."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from usarmjx.sim.control import idle_command, set_drive
 TOO_MUCH = 50.0
 """Times the largest value of a key, far beyond what any robot can do."""
 SHARE = 0.4
-"""Share of its largest value that every other key is told."""
+"""Command of every other key, as a share of its largest value."""
 
 
 def key_sets(drive):
@@ -27,7 +27,7 @@ CASES = [
 ]
 
 
-def told(robot, values):
+def targets_of(robot, values):
     with numpy_backend():
         return np.asarray(set_drive(robot, idle_command(robot), values).setpoint)
 
@@ -43,8 +43,8 @@ def test_every_kind_of_drive_with_several_keys_has_cases():
 def test_a_key_told_too_much_is_as_if_told_its_largest_value(robot, keys, key, sign):
     """The oracle is the largest value that CONF and GEO state, `full_scale`; the same bits are due."""
     others = {other: SHARE * most for other, most in keys.items() if other != key}
-    wild = told(robot, {key: sign * TOO_MUCH * max(keys[key], 1.0), **others})
-    np.testing.assert_array_equal(wild, told(robot, {key: sign * keys[key], **others}))
+    wild = targets_of(robot, {key: sign * TOO_MUCH * max(keys[key], 1.0), **others})
+    np.testing.assert_array_equal(wild, targets_of(robot, {key: sign * keys[key], **others}))
     if keys == robot.drive.full_scale:
         rest = [robot.drive.keys.index(other) for other in others]
         np.testing.assert_array_equal(wild[rest], np.array([*others.values()], np.float32))
@@ -52,9 +52,10 @@ def test_a_key_told_too_much_is_as_if_told_its_largest_value(robot, keys, key, s
 
 @pytest.mark.parametrize(("robot", "keys", "key"), CASES)
 def test_order_of_keys_does_not_matter_to_their_limits(robot, keys, key):
-    """The same message with its keys turned round, one of them told too much."""
+    """The same message with its keys turned round, one of them too large."""
     values = {other: SHARE * most for other, most in keys.items()} | {key: TOO_MUCH * max(keys[key], 1.0)}
-    np.testing.assert_array_equal(told(robot, values), told(robot, dict(reversed(values.items()))))
+    turned = dict(reversed(values.items()))
+    np.testing.assert_array_equal(targets_of(robot, values), targets_of(robot, turned))
 
 
 @pytest.mark.parametrize("ahead", [1.0, TOO_MUCH])

@@ -65,7 +65,7 @@ def test_ratings_move_by_surprise_and_the_baselines_stays(train_state):
     after, stats = update_league(league, sums(p3=(4, 4, 0)), policy_params(train_state), jnp.int32(3), 100)
     assert (float(after.rating), float(stats["league/idle_won"])) == (FIRST_RATING, 1.0)
     assert after.won.tolist() == [0, 0, 0, 4]
-    # What the policy wins, the past self loses.
+    # The past self loses the games that the policy wins.
     after, _ = update_league(league, sums(p0=(2, 2, 0)), policy_params(train_state), jnp.int32(3), 100)
     assert float(after.rating) - FIRST_RATING == FIRST_RATING - float(after.ratings[0]) == 16.0
 

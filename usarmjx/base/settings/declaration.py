@@ -93,7 +93,7 @@ class Setting:
     def over(self, other: "Setting") -> "Setting":
         """Return the other note with what this one sets; a bound takes the place of both it may be."""
         own = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
-        # What a note leaves at its default it does not set.
+        # A note sets nothing that it leaves at its default.
         own = {name: value for name, value in own.items() if value != getattr(NO_NOTE, name)}
         for pair in (("gt", "ge"), ("lt", "le")):
             if own.keys() & set(pair):

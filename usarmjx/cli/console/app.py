@@ -554,7 +554,7 @@ class ConsoleApp(App[str]):
 
     async def _begin(self) -> None:
         await self._client.connect()
-        # What is known of the robot belongs to the old connection.
+        # All that the client knows of the robot belongs to the old connection.
         self._pilot, self._viewed = KeyDriver(self._client.knowledge), -1
         self._stick = JoystickDriver(self._pilot)
         self.say(f"connected to {self._client.host}:{self._client.port}")

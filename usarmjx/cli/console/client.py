@@ -367,7 +367,7 @@ async def _lines_of(pipe: int) -> AsyncIterator[str]:
     reader, loop = asyncio.StreamReader(), asyncio.get_running_loop()
 
     def take() -> None:
-        # What there is, without waiting: the stream's readline would block the loop.
+        # Only bytes that have come: the stream's readline would block the loop.
         data = os.read(pipe, READ_SIZE)
         if data:
             reader.feed_data(data)

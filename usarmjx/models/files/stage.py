@@ -421,7 +421,7 @@ class _StageReader:
             self._shapes += [_placed(shape, centre) for shape in self._solids(model, size, like)]
             if model.number("gripper_return", 0) > 0 and len(self._shapes) > before:
                 self._notes.append(f"{model.place}: {model.word} can be gripped in Stage; it is fixed here")
-        # Stage puts models on top of those that hold them unless told otherwise.
+        # Stage puts models on top of those that hold them by default.
         top = size[2] if model.number("stack_children", 1) else 0.0
         for child in model.children:
             if child.word != "block":

@@ -595,7 +595,7 @@ def complete_arena(arena: ArenaSpec, content: Content, value: FileValue, given: 
         lights=(*arena.lights, *content.lights),
         gps=arena.gps or content.gps,
     )
-    # What the file itself states counts; content of other files only fills gaps.
+    # Statements of the file itself count; content of other files only fills gaps.
     if "has_floor" not in given and content.floor is not None:
         arena = replace(arena, has_floor=content.floor)
     if "extent" not in given:

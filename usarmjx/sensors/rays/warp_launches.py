@@ -105,7 +105,7 @@ def nearest_of_bundles(
     if not work or not count:
         return jnp.full(count, jnp.inf), jnp.full(count, -1, jnp.int32)
     wide = sum(info.num_geoms for info, _ in work if not info.compact)
-    # What is fixed has no axis over worlds: one copy serves all of them.
+    # Fixed arrays have no axis over worlds: one copy serves all of them.
     packed, fixed_slots = apart(work)
     geoms = sum(info.num_geoms for info, _ in work)
     numbers = wide, *fixed_slots, geoms, min(max_distance, UNLIMITED_DISTANCE)

@@ -54,7 +54,7 @@ class ListeningSocket(socket.socket):
         Raises:
             BlockingIOError: There is none, or it is the turn of others.
         """
-        # asyncio accepts in a loop until it would block; the rest is told at the next round, as epoll is
+        # asyncio accepts in a loop until it would block; the rest comes in the next round, as epoll is
         # level-triggered.
         if self._count >= ACCEPTS_AT_ONCE:
             self._count = 0

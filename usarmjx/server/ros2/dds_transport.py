@@ -179,7 +179,7 @@ def dds_qos(qos: Qos, user_data: str) -> DdsQos:
         Policy.Userdata(user_data.encode()),
     ]
     if qos.is_latched:
-        # What late readers get is bounded by this policy, not by the writer's history.
+        # This policy, not the writer's history, bounds the samples for late readers.
         policies.append(Policy.DurabilityService(0, history, -1, -1, -1))
     return DdsQos(*policies)
 

@@ -354,7 +354,7 @@ def low_latency() -> Generator[None]:
     """
     switch_interval, thresholds = sys.getswitchinterval(), gc.get_threshold()
     sys.setswitchinterval(SWITCH_INTERVAL)
-    # What exists now, most of it JAX's, is never looked at again by a collection.
+    # Collections skip all objects that exist now, most of them JAX's.
     gc.freeze()
     gc.set_threshold(*thresholds[:2], GC_THRESHOLD)
     try:

@@ -49,7 +49,7 @@ from usarmjx.train.tasks.victim_search import VictimSearch
 
 QUARTERS = (0.25, 0.5, 0.75)
 WORLDS = 24
-"""Episodes unless told otherwise."""
+"""Episodes by default."""
 VIEWS = ("advice", "observed")
 """Fields of tasks that say what robots see."""
 HELD_STEPS = 10

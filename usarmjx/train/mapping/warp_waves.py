@@ -274,7 +274,7 @@ def walk_down(
                 best = height
                 next_i = there_i
                 next_j = there_j
-        # Where nothing is lower the way has ended: the last square repeats.
+        # The way has ended if nothing is lower: the last square repeats.
         if best <= _height(far, first, i, j, rows, columns) + TOLERANCE:
             i = next_i
             j = next_j

@@ -300,7 +300,7 @@ class NumpyPolicy:
         obs, mean, std = np.asarray(obs, np.float32), self.mean[group], self.std[group]
         if obs.shape[-1:] != mean.shape:
             raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
-        # What is not finite counts as the mean, 0 after normalisation, as in training.
+        # Numbers that are not finite count as the mean, 0 after normalisation, as in training.
         seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED)
         if (layout := self.layouts[group]) is None:
             logits, carry = forward(self.weights[group], self.layers, seen, carry)

@@ -546,7 +546,7 @@ class GoalTeam(TeamTask):
         ]
         grid = self.arena_grid(scene)
         untold = jnp.maximum(news[:, None] - extra.shared, 0.0)
-        # The base learns by any path, so what was reported counts, not what this robot told it itself.
+        # The base learns by any path, so all reports count, not those of this robot alone.
         untold = untold.at[:, base].set(jnp.maximum(news - extra.reported, 0.0))
         rows = [
             jnp.stack([jnp.asarray(one, jnp.float32) for one in own], -1),
