@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.comms.solids import random_boxes, slab_count, solids
+from tests.comms.solids import Solids, random_boxes, slab_count, solids
 from tests.comms.test_walls import (
     BOX_CASES,
     CUBE,
@@ -27,7 +27,7 @@ from usarmjx.comms.walls import arena_solids, count_on_jax, count_walls
 from usarmjx.models.arenas import ARENAS
 
 pytest.importorskip("warp", reason="needs warp-lang")
-from usarmjx.comms.warp_walls import count_on_warp
+from usarmjx.comms.warp_walls import count_on_warp, pack_solids
 
 
 def single(*points):
@@ -78,6 +78,61 @@ def test_shapes_of_all_kinds_count_as_on_jax():
     many = [(kind, rng.uniform(-2, 2, 3), SHAPES[kind], rng.uniform(-3, 3, 3)) for kind in SHAPES] * 3
     plate = (PLANE, (0.3, 0, 0), (1, 2, 1), (0.4, 1.2, 0))
     agrees(solids(*many, plate).geoms(), *ends(rng, 1000, (-3, -3, -3), (3, 3, 3)))
+
+
+def around(distance):
+    """Boxes, upright and not, in more groups than a list holds, and segments about a place so far off."""
+    rng = np.random.default_rng(11)
+    boxes = [random_boxes(rng, 90, upright) for upright in (True, False)]
+    at = np.array([distance, -distance, 0])
+    both = [
+        Solids(one.kind, one.pos + at, one.mat, one.size.astype(np.float32).astype(float)) for one in boxes
+    ]
+    whole = Solids(
+        *(np.concatenate(part) for part in zip(*(vars(one).values() for one in both), strict=True))
+    )
+    return whole, *(end + at for end in ends(rng, 300))
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("distance", [0.0, 2000.0])
+def test_no_list_lacks_a_box_that_is_crossed(distance):
+    """Against the slab method in double precision; coordinates of 2 km are exact to 0.2 mm."""
+    near = max(NEAR, 4 * np.spacing(np.float32(distance)))
+    boxes, start, end = around(distance)
+    start, end = start.astype(np.float32).astype(float), end.astype(np.float32).astype(float)
+    boxes.pos = boxes.pos.astype(np.float32).astype(float)
+    least, greatest = (slab_count(boxes, start, end, grow) for grow in (-near, near))
+    clear = least == greatest
+    assert clear.mean() > 0.6
+    assert greatest.max() > 12
+    found = np.asarray(count_on_warp(boxes.geoms(), *single(start, end)))
+    np.testing.assert_array_equal(found[clear], greatest[clear])
+
+
+@pytest.mark.oracle
+def test_upright_segments_cross_what_is_above_each_other():
+    """A segment without a horizontal direction has a list, too."""
+    boxes, start, end = around(0.0)
+    end[:, :2] = start[:, :2]
+    end[:, 2] = start[:, 2] + 3
+    least, greatest = (slab_count(boxes, start, end, grow) for grow in (-NEAR, NEAR))
+    clear = least == greatest
+    found = np.asarray(count_on_warp(boxes.geoms(), *single(start, end)))
+    np.testing.assert_array_equal(found[clear], greatest[clear])
+    assert greatest.max() > 2
+
+
+def test_what_all_evaluations_share_is_packed_once():
+    """Solids reach the kernel as they are packed: a transposed copy would be made in every step."""
+    geoms = random_boxes(np.random.default_rng(8), 40, True).geoms()
+    packed, wholes, count = pack_solids(geoms)
+    assert (wholes, count, packed.shape) == (40, 40, (7, 64, 4))
+    assert (np.asarray(packed[0, 40:, 2]) == -np.inf).all()
+    two = jax.tree.map(lambda x: jnp.stack([x, x]), geoms)
+    text = jax.jit(jax.vmap(count_on_warp)).lower(two, jnp.zeros((2, 3, 3)), jnp.ones((2, 3, 3))).as_text()
+    assert "x7x64x4xf32>" in text
+    assert not [line for line in text.splitlines() if "transpose" in line and "x7x64x4" in line]
 
 
 def test_meshes_and_terrain_count_as_on_jax():
