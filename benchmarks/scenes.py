@@ -213,14 +213,18 @@ SAMPLE_ARENAS = 64
 
 
 def resolved(case: SceneOptions) -> dict[str, Any]:
-    """Return the engine and the substeps that a case means.
+    """Return the engine and the substeps that a case means, and the solver if it is `block`.
+
+    Of the solver `auto` older records say nothing: it was CG.
 
     Raises:
         UnknownNameError: No such engine or physics.
     """
     engine = choose_engine(case.engine, "batch")
-    timestep = case.replaced(PHYSICS.get(case.physics)).timestep
-    return {"engine": engine, "substeps": case.substeps or round(CONTROL_STEP / timestep)}
+    physics = case.replaced(PHYSICS.get(case.physics))
+    block = physics.solver_on(engine, gpu=jax.default_backend() != "cpu") == "block"
+    solver = {"solver": "block"} if block else {}
+    return {"engine": engine, "substeps": case.substeps or round(CONTROL_STEP / physics.timestep), **solver}
 
 
 def scene_of(case: SceneOptions) -> Scene:

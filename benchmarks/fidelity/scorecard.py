@@ -7,6 +7,8 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from typing import Any
 
+import jax
+
 from benchmarks.cases import RecordOptions, ScorecardCase
 from benchmarks.fidelity.conditions import Conditions
 from benchmarks.fidelity.manoeuvres import MANOEUVRES, SHEET_MANOEUVRES, drive_all, manoeuvres_on
@@ -72,8 +74,8 @@ def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> 
         "scene": None,
         "rates": {},
         "baselines": {"reference settings": {"what": "each number has the reference's before it"}},
-        "reference": asdict(Physics()),
-        "settings": asdict(physics),
+        "reference": _settings(Physics(), "c"),
+        "settings": _settings(physics, engine),
         "units": {name: manoeuvre.unit for name, manoeuvre in manoeuvres_on(engine).items()},
         "numbers": {
             name: {key: [_known(value), _known(card[name][key])] for key, value in numbers.items()}
@@ -84,6 +86,12 @@ def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> 
     }
     append_record(record, options.json)
     return (summary if engine == "c" else engine_summary)(reference, card)
+
+
+def _settings(physics: Physics, engine: str) -> dict[str, Any]:
+    """Return settings as a record has them, with the solver by its name."""
+    solver = physics.solver_on(engine, gpu=jax.default_backend() != "cpu")
+    return asdict(physics) | {"solver": solver}
 
 
 def _known(value: float) -> float | None:

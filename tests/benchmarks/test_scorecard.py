@@ -170,7 +170,7 @@ def test_settings_have_names_that_an_error_lists():
         PHYSICS.get("quick")
     with pytest.raises(SpecError, match="cone is 'round', expected one of elliptic, pyramidal"):
         Physics(cone="round")
-    with pytest.raises(SpecError, match="solver is 'PGS', expected one of CG, Newton"):
+    with pytest.raises(SpecError, match="solver is 'PGS', expected one of auto, CG, Newton, block"):
         Physics(solver="PGS")
     with pytest.raises(SpecError, match=r"sleep_tolerance is -1, expected a number from 0 \[m/s\]"):
         Physics(sleep_tolerance=-1)

@@ -5,6 +5,7 @@
 
 import logging
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -194,18 +195,50 @@ def test_what_nobody_drives_gains_no_energy():
     assert before > energies[0] > energies[1] > energies[2]
 
 
+ARM = """
+<mujoco>
+  <option solver="{solver}"/>
+  <custom><numeric name="max_contact_points" data="8"/><numeric name="max_geom_pairs" data="8"/></custom>
+  <worldbody><body><joint name="j" axis="0 1 0"/><geom size=".1"/></body></worldbody>
+  {tendon}
+</mujoco>
+"""
+TENDON = '<tendon><fixed range="-1 1"><joint joint="j" coef="1"/></fixed></tendon>'
+
+
 def test_what_is_not_covered_is_named_and_left_to_mujoco_warp(caplog: pytest.LogCaptureFixture):
-    spec = mujoco.MjSpec.from_string("""
-    <mujoco>
-      <custom><numeric name="max_contact_points" data="8"/><numeric name="max_geom_pairs" data="8"/></custom>
-      <worldbody><body><joint name="j" axis="0 1 0"/><geom size=".1"/></body></worldbody>
-      <tendon><fixed range="-1 1"><joint joint="j" coef="1"/></fixed></tendon>
-    </mujoco>""")
+    spec = mujoco.MjSpec.from_string(ARM.format(solver="Newton", tendon=TENDON))
     assert block.why_not(spec.compile()) == "tendons"
     with caplog.at_level(logging.WARNING):
         engine = WarpEngine(spec, Physics(solver="block"), 1)
     assert (engine.solver, engine.uncovered) == ("Newton", "tendons")
     assert "does not cover tendons" in caplog.text
+
+
+def test_auto_is_this_solver_on_gpus_and_mujoco_warps_cg_elsewhere(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    arm, tied = (mujoco.MjSpec.from_string(ARM.format(solver="CG", tendon=text)) for text in ("", TENDON))
+    assert WarpEngine(arm, Physics(), 1).solver == "CG", "on a CPU"
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    engine = WarpEngine(arm, Physics(), 1)
+    assert (engine.solver, engine.uncovered) == ("block", None)
+    with caplog.at_level(logging.INFO):
+        engine = WarpEngine(tied, Physics(), 1)
+    assert (engine.solver, engine.uncovered) == ("CG", "tendons")
+    assert "MuJoCo Warp's CG solves all" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("cone", "condim", "rows"), [("elliptic", 3, 32_767), ("elliptic", 6, 18_724), ("pyramidal", 6, 65_535)]
+)
+def test_a_world_may_have_as_many_rows_as_places_in_hessians_have_bits(cone: str, condim: int, rows: int):
+    """Contacts of n rows have n (n + 1) / 2 numbers there, a place has 16 bits."""
+    model = mujoco.MjModel.from_xml_string(MECHANISM.format(cone=cone, condim=condim))
+    assert block.why_not(model, rows) is None
+    assert block.why_not(model, rows + 1) == f"room for more than {rows} constraint rows"
+    per_contact = condim if cone == "elliptic" else 1
+    assert rows // per_contact * (per_contact * (per_contact + 1) // 2) < 1 << 16
 
 
 def test_what_is_covered_is_solved_by_it():

@@ -342,8 +342,10 @@ class WarpEngine(MjxEngine):
     All worlds share one contact buffer, so an overflow can drop contacts of other worlds.
 
     Attributes:
-        solver: Name of the constraint solver; not that of the settings where `uncovered` is set.
-        uncovered: Feature of the scene for which solver `block` falls back to MuJoCo Warp's Newton; or None.
+        solver: Name of the constraint solver: where `uncovered` is set, or for `auto`, not that of the
+            settings.
+        uncovered: Feature of the scene for which MuJoCo Warp's solver takes the place of `block`; or None:
+            Newton if `block` is named, CG for `auto`.
     """
 
     name = "warp"
@@ -366,7 +368,8 @@ class WarpEngine(MjxEngine):
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
         pause_collection_in_callbacks()
-        self.solver, self.uncovered = physics.solver, None
+        self.solver = physics.solver_on(self.name, gpu=jax.default_backend() != "cpu")
+        self.uncovered: str | None = None
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         if jax.default_backend() == "cpu":
             atexit.register(block_until_finished)
@@ -397,23 +400,27 @@ class WarpEngine(MjxEngine):
             model = copy.copy(model)
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
         if self.solver == "block":
-            self.uncovered = why_not(model)
+            self.uncovered = why_not(model, self._row_budget(model))
             if self.uncovered is None:
                 model = copy.copy(model)
                 # For Newton's method, MuJoCo Warp also lists the rows of each constraint.
                 model.opt.solver = mujoco.mjtSolver.mjSOL_CG
             else:
-                self.solver = "Newton"
-                LOGGER.warning(
-                    "solver 'block' does not cover %s: MuJoCo Warp's Newton solves all", self.uncovered
-                )
+                self.solver = "Newton" if model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON else "CG"
+                level = logging.WARNING if self.physics.solver == "block" else logging.INFO
+                told = "solver 'block' does not cover %s: MuJoCo Warp's %s solves all"
+                LOGGER.log(level, told, self.uncovered, self.solver)
         # Its kernels print a line per world and step when the solver uses all its iterations, which
         # halves the speed. `overflow` reports it instead.
         return super()._put_model(model).tree_replace({"opt._impl.warn_overflow": 0})
 
+    def _row_budget(self, model: mujoco.MjModel) -> int:
+        """Return the constraint rows that a world has room for."""
+        # This budget is per world, that of contacts over all worlds: rows allow three times the average.
+        return 3 * self.physics.rows_per_contact * int(model.numeric("max_contact_points").data[0])
+
     def _make_data(self) -> mjx.Data:
         contacts = int(self.model.numeric("max_contact_points").data[0])
-        # The row budget is per world, the contact budget over all worlds: rows allow three times the average.
         pairs = self.mx._impl.nxn_geom_pair_filtered
         return mjx.make_data(
             self.model,
@@ -421,7 +428,7 @@ class WarpEngine(MjxEngine):
             device=local_device(),
             naconmax=self.worlds * contacts,
             naccdmax=self.worlds * convex_contact_budget(self.model, pairs, contacts),
-            njmax=3 * self.physics.rows_per_contact * contacts,
+            njmax=self._row_budget(self.model),
         )
 
     def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:

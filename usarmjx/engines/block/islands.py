@@ -7,16 +7,10 @@ the constraints of its islands in the order of their rows.
 
 from collections.abc import Sequence
 
-from usarmjx.base.errors import EngineError
-
 THREADS = 64
 """Threads of a block, which handles one world."""
 HELD_ROWS, HELD_TREES = 1024, 256
 """Rows and trees of a world that a GPU's shared memory has room for; more are in global memory."""
-ROW_BITS = 16
-"""Bits of a row's index in a list of constraints; its number of rows is above them."""
-MOST_ROWS = 18_000
-"""Most rows of a world: places in Hessians have as many bits, and six rows have 21 numbers there."""
 TASK_NUMBERS = 6
 """Numbers of an island: its trees, degrees of freedom, rows, constraints, numbers of its Hessians, offset of
 its constraints in the list of its world."""
@@ -214,13 +208,3 @@ def fitting_class(sizes: Sequence[tuple[int, int]]) -> str:
         for k, (slot, dofs) in enumerate(first)
     ]
     return f"{''.join(tests)}{len(first)}"
-
-
-def check_rows(rows: int) -> None:
-    """Check the room for constraint rows of a world.
-
-    Raises:
-        EngineError: There are too many.
-    """
-    if rows > MOST_ROWS:
-        raise EngineError(f"solver 'block' takes {MOST_ROWS} constraint rows of a world, found {rows}")

@@ -7,7 +7,8 @@ memory. Sums have a fixed order; those of forces and of distances to constraints
 a CPU, the first lane handles the whole island.
 """
 
-from usarmjx.engines.block.islands import ROW_BITS, SIZES_CODE
+from usarmjx.engines.block import ROW_BITS
+from usarmjx.engines.block.islands import SIZES_CODE
 
 MOST_ITERATIONS = 40
 """Most Newton iterations of an island. Most islands take two to five."""

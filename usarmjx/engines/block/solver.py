@@ -246,11 +246,7 @@ def solve(m: Any, d: Any) -> None:  # noqa: ANN401 - as above
 
     Writes accelerations, generalized constraint forces, forces and states of the rows, the product of mass
     matrix and accelerations, and the most iterations of a world's islands.
-
-    Raises:
-        EngineError: A world has room for too many constraint rows.
     """
-    islands.check_rows(d.njmax)
     p, threads, device = make_problem(m, d), islands.THREADS, d.qacc.device
     warp.launch(islands_kernel(CLASSES), dim=d.nworld * threads, inputs=[p], block_dim=threads, device=device)
     branches = branches_of(device)

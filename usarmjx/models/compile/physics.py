@@ -13,11 +13,13 @@ CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone
 
 
 SOLVERS = {
+    "auto": mujoco.mjtSolver.mjSOL_CG,
     "CG": mujoco.mjtSolver.mjSOL_CG,
     "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
     "block": mujoco.mjtSolver.mjSOL_NEWTON,
 }
-"""MuJoCo's constraint solvers by name; `block` is our own of engine `warp`, and Newton elsewhere."""
+"""MuJoCo's constraint solvers by name; `block` is our own of engine `warp`, and Newton elsewhere. `auto` is
+`block` on engine `warp` with a GPU, and CG elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Physics:
     """Solver and time settings of a scene.
 
     The elliptic cone with friction impedance ratio 2 lets robots turn in place as rigid wheels do and
-    hold slopes; CG is as fast as Newton for few robots, far faster for many, and free of the batched
+    hold slopes; on CPUs CG is as fast as Newton for few robots, far faster for many, and free of the batched
     Cholesky factorisation. docs/design.md tables the measurements.
 
     Attributes:
@@ -35,7 +37,8 @@ class Physics:
         ls_iterations: Most iterations of the line search.
         cone: Friction cone of the contacts.
         solver: MuJoCo's constraint solver. `block`, on engine `warp`: Newton's method for each group of
-            robots and objects that touch each other, until it has converged; elsewhere Newton.
+            robots and objects that touch each other, until it has converged; elsewhere Newton. `auto`:
+            `block` on engine `warp` with a GPU for scenes that it covers, else CG.
         contacts_per_robot: Capacity of contact buffers per robot like the P2AT, on average over a world's
             robots; other robots count in proportion to their touching geoms.
         pairs_per_robot: Geom pairs of one kind that engine `jax` examines, likewise; the nearest by bounding
@@ -50,7 +53,7 @@ class Physics:
     iterations: Annotated[int, AT_LEAST_ONE] = 10
     ls_iterations: Annotated[int, AT_LEAST_ONE] = 10
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    solver: Literal["CG", "Newton", "block"] = "CG"
+    solver: Literal["auto", "CG", "Newton", "block"] = "auto"
     contacts_per_robot: Annotated[int, AT_LEAST_ONE] = 16
     pairs_per_robot: Annotated[int, AT_LEAST_ONE] = 32
     sleep_tolerance: Annotated[float, NOT_NEGATIVE] = 0.0
@@ -72,6 +75,12 @@ class Physics:
     def rows_per_contact(self) -> int:
         """Constraint rows of a contact with sliding friction."""
         return 3 if self.cone == "elliptic" else 4
+
+    def solver_on(self, engine: str, *, gpu: bool) -> str:
+        """Return the solver that scenes have on an engine, on a GPU or not, unless it does not cover them."""
+        if self.solver != "auto":
+            return self.solver
+        return "block" if engine == "warp" and gpu else "CG"
 
     @classmethod
     def fast(cls) -> "Physics":
