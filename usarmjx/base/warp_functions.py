@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import jax
 
 from usarmjx.base.installation import install_command
+from usarmjx.base.warp_modules import wait_for_modules
 
 _LOCK = Lock()
 """Guards the launch table and Warp's own counter."""
@@ -55,10 +56,11 @@ _PAUSE = _Pause()
 
 
 def without_collection(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a callback during which no garbage is collected."""
+    """Return a callback during which no garbage is collected, once the modules of kernels are loaded."""
 
     @wraps(callback)
     def paused(*args: Any) -> Any:  # noqa: ANN401 - those of XLA
+        wait_for_modules()
         with _PAUSE:
             return callback(*args)
 

@@ -13,7 +13,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Any, cast
@@ -28,6 +28,7 @@ from usarmjx.base.backend import Array
 from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
 from usarmjx.base.warp_functions import pause_collection_in_callbacks, with_globals
+from usarmjx.base.warp_modules import WarpModule, load_side_by_side, modules_of
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.block import why_not
 from usarmjx.engines.cylinder_box import check_mjx_version
@@ -281,6 +282,23 @@ def _step_by_blocks(
 
 
 @cache
+def _one_step(
+    block: bool,
+    broad_phase: Callable[..., None] | None,
+    gravcomp: bool = True,
+    smooth_dynamics: Callable[..., None] | None = None,
+) -> Callable[[Any, Any], None]:
+    """Return a physics step of all worlds on Warp's arrays; arguments as of `multi_step`.
+
+    Raises:
+        EngineError: See `multi_step`.
+    """
+    check_mjx_version()
+    forward = import_module("mujoco.mjx.warp.forward")
+    return _step_by_blocks(broad_phase, gravcomp, smooth_dynamics) if block else forward.mjwarp.step
+
+
+@cache
 def multi_step(
     count: int,
     block: bool,
@@ -301,10 +319,8 @@ def multi_step(
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
     """
-    check_mjx_version()
+    one_step = _one_step(block, broad_phase, gravcomp, smooth_dynamics)
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
-
-    one_step = _step_by_blocks(broad_phase, gravcomp, smooth_dynamics) if block else forward.mjwarp.step
     replay = LaunchReplay(one_step)
 
     def run_kernels(model: object, data: object) -> None:
@@ -410,6 +426,7 @@ class WarpEngine(MjxEngine):
                 level = logging.WARNING if self.physics.solver == "block" else logging.INFO
                 told = "solver 'block' does not cover %s: MuJoCo Warp's %s solves all"
                 LOGGER.log(level, told, self.uncovered, self.solver)
+        self._compiled = model
         # Its kernels print a line per world and step when the solver uses all its iterations, which
         # halves the speed. `overflow` reports it instead.
         return super()._put_model(model).tree_replace({"opt._impl.warn_overflow": 0})
@@ -420,7 +437,7 @@ class WarpEngine(MjxEngine):
         return 3 * self.physics.rows_per_contact * int(model.numeric("max_contact_points").data[0])
 
     def _make_data(self) -> mjx.Data:
-        contacts = int(self.model.numeric("max_contact_points").data[0])
+        contacts = self._contacts
         pairs = self.mx._impl.nxn_geom_pair_filtered
         return mjx.make_data(
             self.model,
@@ -486,12 +503,45 @@ class WarpEngine(MjxEngine):
         if block and jax.default_backend() != "cpu":
             # Streams cannot be made while a graph is captured, which happens at the first step.
             import_module("usarmjx.engines.block.branches").branches_of(_warp_device())  # makes its streams
-        gravcomp = bool(self.model.body_gravcomp.any())
-        own = (self._broad_phase, gravcomp, self._smooth_dynamics) if block else ()
+        own = self._stages if block else ()
+        if jax.default_backend() != "cpu":
+            self._load_kernels()
         if self._graphs.control_step or jax.default_backend() == "cpu":
             # The number of calls is 1: the substeps are inside.
             return (multi_step(count, True, *own) if block else multi_step(count, False, None)), 1
         return (multi_step(1, True, *own), count) if block else super()._step_and_count()
+
+    def _load_kernels(self) -> None:
+        """Start to load the kernels of a step; a program that was kept finds them in Warp's cache."""
+        try:
+            load_side_by_side(self.modules_of_step(), _warp_device())
+        # Only time is lost: the first launch loads what is missing.
+        except Exception as error:
+            LOGGER.warning("kernels are compiled one after another: %r", error)
+
+    def modules_of_step(self) -> list[WarpModule]:
+        """Return the modules of the kernels that a physics step launches, those with most code first."""
+        wp, mjwarp = import_module("warp"), import_module("mujoco.mjx.warp.forward").mjwarp
+        step = _one_step(True, *self._stages) if self.solver == "block" else _one_step(False, None)
+        contacts, rows = self._contacts, self._row_budget(self.model)
+        # No kernel depends on the number of worlds, nor is any launched here.
+        with wp.ScopedDevice("cpu"):
+            model = mjwarp.put_model(self._compiled)
+            data = mjwarp.make_data(self._compiled, nworld=1, naconmax=contacts, njmax=rows)
+        # It is compiled into some of them.
+        model.opt.warn_overflow = cast("Any", self.mx).opt._impl.warn_overflow
+        with wp.ScopedDevice(_warp_device() or "cpu"):
+            return modules_of(partial(step, model, data))
+
+    @property
+    def _stages(self) -> tuple[Callable[..., None], bool, Callable[..., None] | None]:
+        """Return the last arguments of `multi_step` for solver `block`."""
+        return self._broad_phase, bool(self.model.body_gravcomp.any()), self._smooth_dynamics
+
+    @property
+    def _contacts(self) -> int:
+        """Contact budget of a world."""
+        return int(self.model.numeric("max_contact_points").data[0])
 
     @cached_property
     def _broad_phase(self) -> Callable[..., None]:

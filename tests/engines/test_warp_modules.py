@@ -1,0 +1,132 @@
+"""Modules of Warp's kernels, found before a step and loaded side by side; oracle: those that it launches."""
+
+from dataclasses import replace
+from functools import partial
+from threading import Event, Thread
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import pytest
+
+pytest.importorskip("warp", reason="needs warp-lang")
+
+import warp
+
+from tests.engines.test_block import MECHANISM
+from usarmjx.base.warp_functions import without_collection
+from usarmjx.base.warp_modules import load_side_by_side, modules_of, wait_for_modules
+from usarmjx.engines.base import Inputs
+from usarmjx.engines.mjx_warp import LaunchReplay, WarpEngine
+from usarmjx.models.compile.physics import Physics
+
+pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="a GPU has launched others by now")
+WORLDS = 2
+
+
+@warp.kernel(module="unique")
+def add_one(numbers: warp.array(dtype=float)):
+    numbers[warp.tid()] += 1.0
+
+
+@warp.func
+def much(x: float):
+    return warp.sin(x) * warp.cos(x) + warp.exp(x) - warp.sqrt(warp.abs(x)) * warp.log(warp.abs(x) + 1.0)
+
+
+@warp.kernel(module="unique")
+def add_much(numbers: warp.array(dtype=float)):
+    numbers[warp.tid()] += much(numbers[warp.tid()])
+
+
+def launch(data, *kernels):
+    for kernel in kernels:
+        warp.launch(kernel, dim=len(data), inputs=[data], device="cpu")
+
+
+def test_modules_of_launches_are_listed_longest_first_and_nothing_is_launched():
+    data = warp.zeros(3, dtype=float, device="cpu")
+    found = modules_of(lambda: launch(data, add_one, add_much, add_one))
+    assert [one.module for one in found] == [add_much.module, add_one.module]
+    assert {one.block_dim for one in found} == {1}, "a CPU has blocks of one thread"
+    assert data.numpy().tolist() == [0.0] * 3
+    launch(data, add_one)
+    assert data.numpy().tolist() == [1.0] * 3
+
+
+def test_launches_of_other_threads_go_on():
+    data, inside, done = warp.zeros(3, dtype=float, device="cpu"), Event(), Event()
+
+    def other():
+        inside.wait(60)
+        launch(data, add_one)
+        done.set()
+
+    thread = Thread(target=other)
+    thread.start()
+
+    def run():
+        inside.set()
+        assert done.wait(60)
+
+    assert modules_of(run) == []
+    thread.join()
+    assert data.numpy().tolist() == [1.0] * 3
+
+
+def test_a_callback_of_xla_waits_for_the_modules():
+    modules = modules_of(lambda: launch(warp.zeros(3, dtype=float, device="cpu"), add_one, add_much))
+    for one in modules:
+        one.module.unload()
+    load_side_by_side(modules, warp.get_device("cpu"))
+    loaded = without_collection(lambda: [(None, 1) in one.module.execs for one in modules])()
+    assert loaded == [True, True]
+
+
+def test_a_module_that_fails_is_left_to_its_first_launch():
+    class Bad:
+        execs = ()
+
+        def load(self, device, block_dim):
+            raise RuntimeError("cannot compile")
+
+    (good,) = modules_of(lambda: launch(warp.zeros(3, dtype=float, device="cpu"), add_one))
+    good.module.unload()
+    load_side_by_side([good._replace(module=Bad()), good], warp.get_device("cpu"))
+    wait_for_modules()
+    assert (None, 1) in good.module.execs
+
+
+@pytest.mark.parametrize(
+    ("physics", "cone"),
+    [
+        (Physics(), "pyramidal"),
+        (replace(Physics(), solver="Newton"), "elliptic"),
+        (replace(Physics(), solver="block"), "elliptic"),
+    ],
+    ids=["CG", "Newton", "block"],
+)
+def test_a_step_launches_kernels_of_no_other_modules(physics, cone, monkeypatch):
+    """The step's own callback is the oracle: it has XLA's arrays of all worlds, and launches nothing here."""
+    spec = mujoco.MjSpec.from_string(MECHANISM.format(cone=cone, condim=4))
+    for name, value in (("max_contact_points", 16), ("max_geom_pairs", 16)):
+        spec.add_numeric(name=name, size=1, data=[value])
+    engine, launched = WarpEngine(spec, physics, WORLDS), []
+
+    def record(self, model, data, count):
+        del count
+        launched.append(modules_of(partial(self.function, model, data)))
+
+    monkeypatch.setattr(LaunchReplay, "run", record)
+    inputs = Inputs(
+        ctrl=jnp.zeros((WORLDS, engine.model.nu)),
+        act=jnp.zeros((WORLDS, 0)),
+        xfrc_applied=jnp.zeros((WORLDS, engine.model.nbody, 6)),
+        pinned=jnp.zeros((WORLDS, engine.model.nq), bool),
+        pinned_dof=jnp.zeros((WORLDS, engine.model.nv), bool),
+        qpos=jnp.zeros((WORLDS, engine.model.nq)),
+    )
+    jax.block_until_ready(jax.jit(engine.advance)(engine.start(), inputs))
+    assert len(launched) == 1
+    assert len(launched[0]) > 10
+    assert set(engine.modules_of_step()) == set(launched[0])

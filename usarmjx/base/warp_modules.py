@@ -1,0 +1,136 @@
+"""Modules of Warp's kernels, compiled side by side before their first launch.
+
+Warp compiles a module when the first of its kernels is launched, and the launches of a step come one after
+another: of MuJoCo Warp's modules two take 39 s and 23 s, and all of them together 107 s of one core.
+"""
+
+import logging
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib import import_module
+from threading import Lock, get_ident
+from typing import Any, NamedTuple
+
+from usarmjx.base.process import cores
+
+log = logging.getLogger(__name__)
+
+
+class WarpModule(NamedTuple):
+    """Module of kernels for blocks of a given number of threads."""
+
+    module: Any
+    block_dim: int
+
+
+_LOADING: list[Future[Any]] = []
+_LOCK = Lock()
+
+
+@contextmanager
+def _replaced(owner: Any, **others: Callable[..., object]) -> Generator[None]:  # noqa: ANN401 - Warp's
+    """Replace functions in this thread; a step of another batch may run meanwhile, in a thread of XLA."""
+    mine, usual = get_ident(), {name: getattr(owner, name) for name in others}
+
+    def chosen(name: str) -> Callable[..., object]:
+        def call(*args: object, **kwargs: object) -> object:
+            return (others if get_ident() == mine else usual)[name](*args, **kwargs)
+
+        return call
+
+    for name in others:
+        setattr(owner, name, chosen(name))
+    try:
+        yield
+    finally:
+        for name, function in usual.items():
+            setattr(owner, name, function)
+
+
+@contextmanager
+def _recorded_loads() -> Generator[dict[WarpModule, None]]:
+    """Record the modules that launches ask for, which load and launch nothing meanwhile."""
+    asked: dict[WarpModule, None] = {}
+
+    def record(module: Any, device: Any, block_dim: int | None = None) -> None:  # noqa: ANN401 - Warp's
+        del device
+        asked[WarpModule(module, module.options["block_dim"] if block_dim is None else block_dim)] = None
+
+    # Conditions are results of kernels: a loop would not end.
+    def once(_: object, while_body: Callable[..., object], stream: object = None, **given: object) -> None:
+        del stream
+        while_body(**given)
+
+    def both(
+        _: object,
+        on_true: Callable[..., object] | None = None,
+        on_false: Callable[..., object] | None = None,
+        stream: object = None,
+        **given: object,
+    ) -> None:
+        del stream
+        for branch in (on_true, on_false):
+            if branch is not None:
+                branch(**given)
+
+    # A launch without a loaded module does nothing. Warp has no public place for it; its version is pinned.
+    module = import_module("warp._src.context").Module
+    with (
+        _replaced(module, load=record),
+        _replaced(import_module("warp"), capture_while=once, capture_if=both),
+    ):
+        yield asked
+
+
+def modules_of(run: Callable[[], object]) -> list[WarpModule]:
+    """Return the modules of the kernels that a function launches, those with most code first.
+
+    Args:
+        run: Called once; its kernels are not launched, so that it must not depend on their results.
+    """
+    with _LOCK, _recorded_loads() as asked:
+        run()
+    return sorted(asked, key=_length, reverse=True)
+
+
+def _length(one: WarpModule) -> int:
+    """Return the length of the source of a module's kernels and all that they call."""
+    seen: set[int] = set()
+    left = [kernel.adj for kernel in one.module.kernels.values()]
+    length = 0
+    while left:
+        adjoint = left.pop()
+        if id(adjoint) in seen:
+            continue
+        seen.add(id(adjoint))
+        length += len(adjoint.source or "")
+        _, _, functions = adjoint.get_references()
+        left += [function.adj for function in functions if getattr(function, "adj", None) is not None]
+    return length
+
+
+def load_side_by_side(modules: list[WarpModule], device: Any) -> None:  # noqa: ANN401 - Warp's
+    """Start to load modules on a device, as many at a time as there are cores; see `wait_for_modules`."""
+    missing = [one for one in modules if (device.context, one.block_dim) not in one.module.execs]
+    if not missing:
+        return
+    log.info("loading %d modules of Warp on %d cores", len(missing), cores())
+    pool = ThreadPoolExecutor(max_workers=cores(), thread_name_prefix="warp module")
+    # Longest first: the last one to finish should not be the last one to begin.
+    with _LOCK:
+        _LOADING.extend(pool.submit(one.module.load, device, one.block_dim) for one in missing)
+    pool.shutdown(wait=False)
+
+
+def wait_for_modules() -> None:
+    """Wait until all modules are loaded that `load_side_by_side` began with.
+
+    A module that cannot be compiled raises its error at its first launch, where Warp expects it.
+    """
+    if not _LOADING:
+        return
+    with _LOCK:
+        loading, _LOADING[:] = _LOADING[:], []
+    for one in loading:
+        one.exception()
