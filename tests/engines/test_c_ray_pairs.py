@@ -95,12 +95,15 @@ def test_bundles_meet_what_mj_ray_says(seed, level):
     assert met > 50
 
 
+@pytest.mark.oracle
+@pytest.mark.parametrize("hidden", [False, True])
 @pytest.mark.parametrize("other", ["hill", "fender"])
-def test_robots_near_other_kinds_are_left_to_mujoco(other):
+def test_robots_that_see_other_kinds_are_left_to_mujoco(other, hidden):
     group = MATERIALS.index(FENDER)
+    y = 0.0 if hidden else -1.4  # a box of the scene is 0.25 m before the robots, and hides it
     extra = {
-        "hill": '<geom type="hfield" hfield="h" pos="0 0 0.5"/>',
-        "fender": f'<geom type="cylinder" size="0.5 0.5" pos="0 0 1" group="{group}"/>',
+        "hill": f'<geom type="hfield" hfield="h" pos="0 {y} 0.5"/>',
+        "fender": f'<geom type="cylinder" size="0.5 0.5" pos="0 {y} 1" group="{group}"/>',
     }[other]
     model, data = scene(0, extra)
     start, along = bundles(0)
@@ -109,8 +112,11 @@ def test_robots_near_other_kinds_are_left_to_mujoco(other):
     start[0] += np.repeat(np.arange(ORIGINS), RAYS)[:, None] * (0.01, 0, 0)
     along[0] = (0.0, 0.995, -0.0998749)
     solid = np.ones(mujoco.mjNGROUP, np.uint8)
-    *_, is_right = RayPairs(model, data, {}).nearest(start, along, np.arange(ROBOTS), solid, REACH)
-    assert is_right.tolist() == [False, True, True]
+    distance, _, is_right = RayPairs(model, data, {}).nearest(start, along, np.arange(ROBOTS), solid, REACH)
+    assert is_right.tolist() == [hidden, True, True]
+    wanted, _ = seen_by_mujoco(model, data, start[0], along[0], solid, np.zeros(0, int))
+    if hidden:
+        np.testing.assert_allclose(distance[0], wanted, rtol=0, atol=ROUNDING)
 
 
 def test_fans_and_uneven_rays_are_left_to_mujoco():

@@ -54,8 +54,8 @@ class LocalRays(NamedTuple):
         return LocalRays(self.point[index], self.along[index], self.size[index])
 
 
-def cone_meets_box(axes: LocalRays, chord: np.ndarray) -> np.ndarray:
-    """Return whether any ray of a bundle may meet a box (1, pairs).
+def cone_to_box(axes: LocalRays, chord: np.ndarray) -> np.ndarray:
+    """Return a distance before which no ray of a bundle is in a box, infinite where none meets it (pairs,).
 
     Args:
         axes: The first rays of the bundles.
@@ -68,7 +68,7 @@ def cone_meets_box(axes: LocalRays, chord: np.ndarray) -> np.ndarray:
             end = room / speed
             low = np.where(speed < 0.0, np.maximum(low, end), low)
             high = np.where(speed > 0.0, np.minimum(high, end), high)
-    return low <= high
+    return np.where(low <= high, low, np.inf)[0]
 
 
 # Kernels: rays of pairs -> distance, infinite without a hit (rays, pairs).
@@ -292,20 +292,17 @@ class RayPairs:
             reach: Range [m]; hits beyond it may be missed.
 
         Returns:
-            Both, and the robots for which they are right: not those near geoms of other kinds, and none if
-            the rays are not bundled alike (robots,).
+            Both, and the robots for which they are right: not those that may see geoms of other kinds, and
+            none if the rays are not bundled alike (robots,).
         """
         is_right, bundles = np.ones(len(start), bool), Bundles.of(start, along)
         if bundles is None:
             return np.full(start.shape[:2], np.inf), np.zeros(start.shape[:2]), ~is_right
         stops = (solid[self._material] != 0) & self._is_drawn & (self._owner != slots[:, None])
-        pairs = self._pairs(bundles, stops, reach)
-        unknown = ~self._is_known[pairs.geom]
-        if unknown.any():
-            is_right[pairs.bundle[unknown] // bundles.point.shape[1]] = False
         # Rays parallel to faces divide by zero on purpose: `where` drops what comes of it.
         with np.errstate(all="ignore"):
-            distance, cosine = self._cast(bundles, pairs)
+            distance, cosine, unknown = self._cast(bundles, self._pairs(bundles, stops, reach))
+        is_right[unknown // bundles.point.shape[1]] = False
         return distance.T.reshape(start.shape[:2]), cosine.T.reshape(start.shape[:2]), is_right
 
     def _pairs(self, bundles: Bundles, stops: np.ndarray, reach: float) -> Pairs:
@@ -342,13 +339,16 @@ class RayPairs:
         pair, origin = np.nonzero(~missed | (radius == MARGIN))
         return Pairs(robot[pair] * origins + origin, geom[pair])
 
-    def _cast(self, bundles: Bundles, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distances to the nearest geoms of known kinds, and cosines, both (rays, bundles)."""
+    def _cast(self, bundles: Bundles, pairs: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the distances to the nearest geoms of known kinds, and cosines, both (rays, bundles).
+
+        The third array has the bundles of which a ray may meet a geom of another kind first (n,).
+        """
         along = bundles.along.reshape(-1, *bundles.along.shape[2:]).transpose(2, 1, 0).copy()
         nearest, cosine = np.full(along.shape[1:], np.inf), np.zeros(along.shape[1:])
-        pairs, rays = self._near_pairs(bundles, pairs, along)
+        pairs, rays, (others, entry) = self._near_pairs(bundles, pairs, along)
         if not len(pairs.geom):
-            return nearest, cosine
+            return nearest, cosine, others
         kinds = self._kind[pairs.geom]
         # Pairs are sorted by kind, and SOLIDS has its kinds in ascending order: keep both.
         ends = np.searchsorted(kinds, [*SOLIDS, max(SOLIDS) + 1])
@@ -368,10 +368,16 @@ class RayPairs:
         for kind in np.unique(kinds[pair]).tolist():
             here = np.flatnonzero(kinds[pair] == kind)
             cosine[ray[here], bundle[here]] = SOLIDS[kind].cosine(hits.part(np.s_[:, here]), distance[here])
-        return nearest, cosine
+        # A geom behind the farthest hit of a bundle is hidden, whatever its shape.
+        return nearest, cosine, others[entry <= nearest.max(0)[others]]
 
-    def _near_pairs(self, bundles: Bundles, pairs: Pairs, along: np.ndarray) -> tuple[Pairs, LocalRays]:
+    def _near_pairs(
+        self, bundles: Bundles, pairs: Pairs, along: np.ndarray
+    ) -> tuple[Pairs, LocalRays, tuple[np.ndarray, np.ndarray]]:
         """Return the pairs whose rays may meet the geom's bounding box, sorted by kind, and their rays.
+
+        Those of known kinds; of the others the bundles, and the distances before which no ray meets the geom
+        (n,).
 
         Args:
             bundles: The rays.
@@ -383,15 +389,18 @@ class RayPairs:
         offset = bundles.point.reshape(-1, 3)[bundle] - self._data.geom_xpos[geom]
         frame = self._data.geom_xmat[geom].T.copy().reshape(3, 3, 1, -1)
         point, axis = _turned(frame, offset.T[:, None]), _turned(frame, along[:, :1].take(bundle, 2))
-        half = self._model.geom_aabb[geom, 3:].T[:, None]
+        middle, half = self._model.geom_aabb[geom].T.reshape(2, 3, 1, -1)
         others = along - along[:, :1]
         chord = np.sqrt((others * others).sum(0).max(0))
-        may_meet = cone_meets_box(LocalRays(point, axis, half), chord[bundle])[0]
-        kept = np.flatnonzero((may_meet | (self._model.geom_rbound[geom] == 0.0)) & self._is_known[geom])
+        entry = cone_to_box(LocalRays(point - middle, axis, half), chord[bundle])
+        may_meet, known = np.isfinite(entry), self._is_known[geom]
+        unknown = np.flatnonzero(may_meet & ~known)
+        behind = bundle[unknown], entry[unknown]
+        kept = np.flatnonzero((may_meet | (self._model.geom_rbound[geom] == 0.0)) & known)
         bundle, geom = bundle[kept], geom[kept]
         turned = _turned(frame.take(kept, -1), along.take(bundle, 2))
         rays = LocalRays(point.take(kept, -1), turned, self._model.geom_size[geom].T[:, None].copy())
-        return Pairs(bundle, geom), rays
+        return Pairs(bundle, geom), rays, behind
 
 
 def _dots(one: np.ndarray, other: np.ndarray) -> np.ndarray:
