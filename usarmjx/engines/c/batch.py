@@ -6,7 +6,6 @@ rebuilt here when many geoms have moved (another arena), and refitted when a few
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +17,7 @@ from usarmjx.base.backend import Array, numpy_backend
 from usarmjx.base.process import cores
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
+from usarmjx.engines.c.bounding_trees import TreeShape, tree_shape
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
@@ -34,23 +34,21 @@ class BoundingTree(NamedTuple):
     Attributes:
         places: Position, orientation and half sizes of the bounding box of each movable geom (movable, 10).
         leaves: Centre and half size of each geom's box (geoms, 6).
-        order: Geoms by leaf, from left to right (geoms,).
+        shape: Its topology.
         boxes: Centre and half size of each node's box (nodes, 6).
     """
 
     places: np.ndarray
     leaves: np.ndarray
-    order: np.ndarray
+    shape: TreeShape
     boxes: np.ndarray
 
 
 class MovedBody:
     """Movable geoms of a static body at the world's origin, and their hierarchy in each world.
 
-    The hierarchy splits the geoms in halves, along one axis; so its topology depends only on their number.
-
     Args:
-        model: The compiled model; its hierarchy takes that topology.
+        model: The compiled model, which gets this hierarchy.
         ids: The movable geoms, all of one body.
     """
 
@@ -64,17 +62,10 @@ class MovedBody:
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
         self._movable = np.flatnonzero(np.isin(self._geoms, self.ids))
         self._rows = np.array([ids.index(geom) for geom in self._geoms[self._movable].tolist()], int)
-        self._children, self._levels, self._leaf = _tree_topology(len(self._geoms))
-        # Deepest level first: a parent's box is made of those of its children.
-        inner = [nodes[self._children[nodes, 0] >= 0] for nodes, _ in reversed(self._levels)]
-        self._merges = [(nodes, *self._children[nodes].T) for nodes in inner if len(nodes)]
         self._worlds: dict[int, BoundingTree] = {}
         self._written: dict[int, BoundingTree] = {}
         self._covered: GeomPoses | None = None
         if len(self._geoms):
-            tree.bvh_child[self._nodes] = self._children
-            for depth, (nodes, _) in enumerate(self._levels):
-                tree.bvh_depth[self._nodes][nodes] = depth
             with numpy_backend():
                 self._frame = np.asarray(mat_from_quat(model.body_iquat[body]))
             self._write_tree(model, self._bounding_tree(model, 0))
@@ -122,7 +113,7 @@ class MovedBody:
         leaves[self._movable] = np.hstack([(low + high) / 2, (high - low) / 2])
         # Nowhere is what these boxes are of: another way of moving computes them anew.
         nowhere = np.full_like(known.places, np.nan)
-        tree = BoundingTree(nowhere, leaves, known.order, self._node_boxes(leaves[known.order]))
+        tree = BoundingTree(nowhere, leaves, known.shape, known.shape.node_boxes(leaves))
         self._worlds[0], self._covered = tree, path
         self._write_tree(model, tree)
 
@@ -131,17 +122,17 @@ class MovedBody:
         places = np.hstack([model.geom_pos[movable], model.geom_quat[movable], model.geom_aabb[movable, 3:]])
         if known is None:
             leaves = self._present_boxes(model, self._geoms)
-            order = self._leaf_order(leaves)
+            shape = tree_shape(leaves)
         else:
             changed = self._movable[(known.places != places).any(axis=1)]
             if not len(changed):
                 return known
-            leaves, order = known.leaves.copy(), known.order
+            leaves, shape = known.leaves.copy(), known.shape
             leaves[changed] = self._present_boxes(model, self._geoms[changed])
-            # After few changes the old order still separates well, and sorting costs more than it saves.
+            # After few changes the old shape still separates well, and another costs more than it saves.
             if len(changed) > REBUILD_FRACTION * len(leaves):
-                order = self._leaf_order(leaves)
-        self._worlds[world] = BoundingTree(places, leaves, order, self._node_boxes(leaves[order]))
+                shape = tree_shape(leaves)
+        self._worlds[world] = BoundingTree(places, leaves, shape, shape.node_boxes(leaves))
         return self._worlds[world]
 
     def _present_boxes(self, model: mujoco.MjModel, geoms: np.ndarray) -> np.ndarray:
@@ -152,77 +143,16 @@ class MovedBody:
         # Threads have models of their own: each remembers which world's tree it holds.
         if self._written.get(id(model)) is known:
             return
-        node_ids = np.full(len(self._children), -1, np.int32)
-        node_ids[self._leaf] = self._geoms[known.order]
-        tree = _bvh_fields(model)
-        tree.bvh_nodeid[self._nodes], tree.bvh_aabb[self._nodes] = node_ids, known.boxes
+        node_ids = np.full(len(known.boxes), -1, np.int32)
+        node_ids[known.shape.leaf] = self._geoms
+        tree, nodes = _bvh_fields(model), self._nodes
+        tree.bvh_nodeid[nodes], tree.bvh_aabb[nodes] = node_ids, known.boxes
+        tree.bvh_child[nodes], tree.bvh_depth[nodes] = known.shape.children, known.shape.depth
         self._written[id(model)] = known
-
-    def _leaf_order(self, boxes: np.ndarray) -> np.ndarray:
-        """Return geoms by leaf, from their boxes (geoms,).
-
-        A node sorts its own by their centres, along the axis for which the boxes of its halves have the
-        least area: few boxes are then met in vain.
-        """
-        mid, half, order = boxes[:, :3], boxes[:, 3:], np.arange(len(boxes))
-        low, high = mid - half, mid + half
-        for (_, starts), (_, halves) in pairwise(self._levels):
-            node = np.repeat(np.arange(len(starts)), np.diff([*starts, len(boxes)]))
-            count, parent = np.diff([*halves, len(boxes)]), node[halves]
-            least, chosen = np.full(len(starts), np.inf), order
-            for along in mid.T:
-                found = order[np.lexsort((along[order], node))]
-                x, y, z = np.maximum.reduceat(high[found], halves).T
-                x, y, z = (x, y, z) - np.minimum.reduceat(low[found], halves).T
-                # Half the surface times the number of leaves: a ray or box meets a node about in proportion
-                # to it.
-                area = np.bincount(parent, count * (x * y + y * z + z * x), len(starts))
-                chosen = np.where((area < least)[node], found, chosen)
-                least = np.minimum(area, least)
-            order = chosen
-        return order
-
-    def _node_boxes(self, leaves: np.ndarray) -> np.ndarray:
-        """Return the boxes of all nodes around those of the leaves, from left to right (nodes, 6)."""
-        bounds = np.empty((len(self._children), 6))  # low corner, and high corner times -1
-        mid, half = leaves[:, :3], leaves[:, 3:]
-        bounds[self._leaf, :3], bounds[self._leaf, 3:] = mid - half, -(mid + half)
-        for nodes, one, other in self._merges:
-            # With upper corners negated one minimum merges both.
-            bounds[nodes] = np.minimum(bounds[one], bounds[other])
-        low, high = bounds[:, :3], -bounds[:, 3:]
-        return np.hstack([(low + high) / 2, (high - low) / 2])
 
 
 def _bvh_fields(model: mujoco.MjModel) -> Any:  # noqa: ANN401 - MuJoCo's types leave the tree's fields out
     return model
-
-
-def _tree_topology(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """Return the topology of a hierarchy of `count` leaves.
-
-    Returns:
-        Children of each node (nodes, 2), -1 for a leaf; for each level its nodes, and the first leaf of each
-        subtree of this and higher levels; the node of each leaf (leaves,).
-    """
-    children, leaf = np.full((max(2 * count - 1, 0), 2), -1, np.int32), np.zeros(count, int)
-    levels: list[tuple[np.ndarray, np.ndarray]] = []
-    level, used = [(0, 0, count)] if count else [], 1
-    starts = [start for _, start, _ in level]
-    while level:
-        levels.append((np.array([node for node, _, _ in level]), np.array(starts)))
-        below: list[tuple[int, int, int]] = []
-        for node, start, end in level:
-            if end - start == 1:
-                leaf[start] = node
-                continue
-            middle = (start + end) // 2
-            children[node] = used, used + 1
-            below += [(used, start, middle), (used + 1, middle, end)]
-            used += 2
-        starts = sorted({*starts, *(start for _, start, _ in below)})
-        level = below
-    return children, levels, leaf
 
 
 def _bounding_boxes(
