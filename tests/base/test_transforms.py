@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.rotations import mat_from_rotation_vector, quat_from_mat, rotation_vector
+from usarmjx.base.rotations import (
+    mat_from_quat,
+    mat_from_rotation_vector,
+    quat_from_mat,
+    rotation_vector,
+    up_from_quat,
+)
 from usarmjx.base.transforms import (
     angles_from_mat,
     flip_angles,
@@ -129,6 +135,12 @@ def test_vectors_of_the_wire(wire, ours):
 def test_angles_of_the_wire(angles, carried, lands_on):
     mat = mat_from_angles(*flip_angles(angles))
     np.testing.assert_allclose(mat @ carried, lands_on, atol=DOUBLE_ATOL)
+
+
+def test_the_z_axis_of_frames_is_the_last_column_of_their_matrices():
+    quats = np.random.default_rng(0).normal(size=(5, 4)).astype(np.float32)
+    with numpy_backend():
+        assert (up_from_quat(quats) == mat_from_quat(quats)[..., 2]).all()
 
 
 def test_quaternions_of_matrices_are_scipys_also_at_half_turns():

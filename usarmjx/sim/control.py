@@ -13,7 +13,7 @@ from flax import struct
 from usarmjx.base.backend import Array, ArrayLike, known_all, known_none, named_scope, xp
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.nodes import Node
-from usarmjx.base.rotations import mat_from_quat, matvec
+from usarmjx.base.rotations import mat_from_quat, matvec, up_from_quat
 from usarmjx.base.transforms import GRAVITY
 from usarmjx.models.compile.kinematic_tree import KinematicTree, Servos, actuated_servos
 from usarmjx.models.compile.parts import joint_names, parts_of
@@ -464,12 +464,10 @@ def _tyre_wrench(plan: KinematicTree, drive: YieldingSkidSteer, setpoint: Array,
 
     Wheels that an obstacle or a slope slows down on one side do not count: only a turn that is commanded.
     """
-    left, right = (state.joint_vel[..., wheels].mean(-1) for wheels in _wheels_of_sides(plan))
-    spins = drive.targets(setpoint)
-    turning, commanded = right - left, spins[..., -1] - spins[..., 0]
-    least = xp.sign(turning) * xp.minimum(xp.abs(turning), MAX_TURNING * xp.abs(commanded))
-    turning = xp.where(turning * commanded > 0.0, least, 0.0)  # also where a setpoint is NaN
-    up = mat_from_quat(state.quat)[..., 2]
+    left, right = (state.joint_vel[..., wheels].sum(-1) / len(wheels) for wheels in _wheels_of_sides(plan))
+    most = MAX_TURNING * drive.turning(setpoint[..., 1] - setpoint[..., 0])
+    turning = xp.clip(right - left, xp.minimum(most, 0.0), xp.maximum(most, 0.0))
+    up = up_from_quat(state.quat)
     torque = xp.where(up[..., 2] > MIN_TYRES_COS, drive.yaw_torque(turning, state.angular[..., 2]), 0.0)
     return xp.concatenate([xp.zeros_like(up), torque[..., None] * up], -1)
 

@@ -297,13 +297,24 @@ class SkidSteer(Drive):
 
     def targets(self, setpoint: Array) -> Array:
         """Return the wheels' speeds, those of their sides; both sides give up the excess over `max_turn`."""
-        if self.lever and math.isfinite(self.max_turn):
-            most = self.max_turn * self.lever / self.radius
+        if self.limits_turning:
             over = setpoint[..., 1] - setpoint[..., 0]
             # A NaN on one side must not spread to the other.
-            over = xp.where(xp.isfinite(over), (over - xp.clip(over, -most, most)) / 2, 0.0)
+            over = xp.where(xp.isfinite(over), (over - self.turning(over)) / 2, 0.0)
             setpoint = xp.stack([setpoint[..., 0] + over, setpoint[..., 1] - over], -1)
         return setpoint[..., np.repeat([0, 1], [len(self.left), len(self.right)])]
+
+    @property
+    def limits_turning(self) -> bool:
+        """Whether its controller limits the turning rate."""
+        return self.lever > 0.0 and math.isfinite(self.max_turn)
+
+    def turning(self, difference: Array) -> Array:
+        """Return how much faster the right wheels are to turn, of the ordered difference [rad/s] (...,)."""
+        if not self.limits_turning:
+            return difference
+        most = self.max_turn * self.lever / self.radius
+        return xp.clip(difference, -most, most)
 
     @property
     def max_speed(self) -> float:
