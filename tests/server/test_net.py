@@ -327,9 +327,12 @@ def test_port_3000_and_16_connections_unless_the_ini_or_an_option_says_otherwise
     ini.write_text("[BotAPI.BotServer]\nListenPort=4711\nMaxConnections=2\n")
     told = asked("--ini", str(ini))
     assert (told.port, told.max_connections) == (4711, 2)
+    ini.write_text("[USARBotAPI.BotServer]\nListenPort=4711\nMaxConnections=2\n")  # the later versions'
     told = asked("--ini", str(ini), "--port", "4712", "--init-timeout", "5")
     assert (told.port, told.max_connections, told.init_timeout) == (4712, 2, 5.0)
-    assert asked("--dialect", "udk").dialect is UDK
+    later = asked("--dialect", "udk")
+    assert (later.dialect, later.max_connections) == (UDK, 64)  # DefaultUSAR.ini of the later versions
+    assert asked("--dialect", "udk", "--ini", str(ini)).max_connections == 2
     assert asked("--dialect", "dutch") == "usarmjx: unknown dialect 'dutch'; known: manual, udk\n"
     for line, problem in (
         ("ListenPort=70000", "ListenPort is 70000; expected a whole number from 0 to 65535"),

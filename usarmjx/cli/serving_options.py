@@ -400,9 +400,8 @@ def bot_settings(
     from usarmjx.server.protocol.dialects import find_dialect
 
     spoken = find_dialect(dialect)
-    read = BotServerSettings(
-        host, init_timeout=init_timeout, access=rules, dialect=spoken, **read_bot_server(ini or ())
-    )
+    told = {"max_connections": spoken.max_connections, **read_bot_server(ini or ())}
+    read = BotServerSettings(host, init_timeout=init_timeout, access=rules, dialect=spoken, **told)
     return replace(
         read,
         port=read.port if port is None else port,
@@ -479,7 +478,8 @@ class ListenOptions:
     max_connections: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Most clients of one world; else MaxConnections of --ini, or 16; or --seats."
+            min=1,
+            help="Most clients of one world; else MaxConnections of --ini, or 16 (udk: 64); or --seats.",
         ),
     ] = None
     init_timeout: Annotated[

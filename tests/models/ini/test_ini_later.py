@@ -34,8 +34,8 @@ def part(item, name, more="", package="USARSensor"):
     return f"AddParts=(ItemClass=class'{package}.{item}',{called}{PLACE}{more})\n"
 
 
-LATER = f"""[USARBotAPI.BotServer]
-ListenPort=3000
+LATER = f"""[USARBotAPI.BotController]
+DeltaTime=0.1
 [USARSensor.Sensor]
 Noise=0.001
 [USARSensor.RangeScanner]
@@ -108,7 +108,7 @@ def test_a_section_about_a_scanner_keeps_its_other_figures(load):
 @pytest.mark.parametrize(
     "says",
     [
-        "a.ini:2: section [USARBotAPI.BotServer] is not about robots: the server's settings are options of",
+        "a.ini:2: section [USARBotAPI.BotController] is not about robots: the server's settings are options",
         "a.ini:4: [USARSensor.Sensor] is left out: each class of sensors has its own defaults",
         "a.ini:7: bWithTimeStamp is ignored: the dialect of the connection decides",
         "a.ini:10: HiddenSensor is ignored: robots look as their solids do",

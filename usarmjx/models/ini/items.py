@@ -122,7 +122,7 @@ _WHEELS = (
 SETTINGS_IGNORED = {("INS", "righttire"): _WHEELS, ("INS", "lefttire"): _WHEELS}
 """The same for settings of a type of item, by type and key in lower case."""
 
-SECTIONS_ELSEWHERE = ("USARBot.MultiView", "BotAPI.BotServer")
+SECTIONS_ELSEWHERE = ("USARBot.MultiView", "BotAPI.BotServer", "USARBotAPI.BotServer")
 """Sections that other readers use: the image server, the Gamebots server."""
 
 LINK_IGNORED = {

@@ -11,7 +11,8 @@ from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.ports import BOT_PORT, PORT
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
 
-SECTION = "BotAPI.BotServer"
+SECTIONS = ("BotAPI.BotServer", "USARBotAPI.BotServer")
+"""The manual's section of the server, and that of the later versions' DefaultUSAR.ini."""
 KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}
 """Fields of `BotServerSettings` by key, with smallest and largest value; port 0 picks a free one."""
 
@@ -48,16 +49,17 @@ class BotServerSettings:
 
 
 def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
-    """Return `[BotAPI.BotServer]` of ini files by fields of `BotServerSettings`; later files override.
+    """Return `SECTIONS` of ini files by fields of `BotServerSettings`; later files override.
 
     Raises:
         SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.
     """
     fields: dict[str, int] = {}
     for path in paths:
-        for line in read_ini(Path(path)).section(SECTION).lines:
+        read = read_ini(Path(path))
+        for section, line in ((name, line) for name in SECTIONS for line in read.section(name).lines):
             if line.key.lower() not in KEYS:
-                fail(line, f"[{SECTION}] has no key {line.key}", "ListenPort or MaxConnections")
+                fail(line, f"[{section}] has no key {line.key}", "ListenPort or MaxConnections")
             name, least, most = KEYS[line.key.lower()]
             fields[name] = as_whole(line, least, most)
     return fields

@@ -64,6 +64,7 @@ class Dialect:
         has_binary_grippers: Whether grippers are open or closed, and report that.
         has_world_controllers: Whether a client may control the world in place of a robot.
         all_joints: Names in SET that mean all joints but wheels, lower case.
+        max_connections: Most clients at once, unless a setting says otherwise.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Dialect:
     has_binary_grippers: bool = False
     has_world_controllers: bool = False
     all_joints: frozenset[str] = frozenset()
+    max_connections: int = 16
 
 
 def told_class(asked: str, ours: str) -> str:
@@ -225,6 +227,7 @@ UDK = Dialect(
     has_binary_grippers=True,
     has_world_controllers=True,
     all_joints=frozenset({"allangles", "alljoints"}),
+    max_connections=64,
 )
 """The versions on the Unreal Development Kit, which most ROS nodes support."""
 DIALECTS = {dialect.name: dialect for dialect in (MANUAL, UDK)}
