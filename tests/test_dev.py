@@ -123,7 +123,7 @@ def test_test_runs_everything_and_with_arguments_only_pytest():
     )
     for part in parts:
         assert sum(part in tool for tool in tools) == 1, part
-    marks = [step[step.index("-m", 1) + 1] for step in dev.VERBS["test"].steps()[4:6]]
+    marks = [step[step.index("-m", 1) + 1] for step in dev.VERBS["test"].steps()[-2:]]
     assert marks == [f"{alone} and not tools and not thorough" for alone in ("not alone", "alone")]
     assert not any("not tools" in step for step in dev.VERBS["test"].steps("--all"))
     assert dev.VERBS["check"].steps() == dev.VERBS["test"].steps("--all")
@@ -259,6 +259,24 @@ def test_first_bad_status_is_returned_and_the_rest_still_runs(
     assert environment.run_steps(checkout.environment, [["-m", "good"]]) == 0
 
 
+def test_steps_run_beside_the_next_one_and_their_output_comes_after_it(
+    checkout: FakeCheckout, capfd: pytest.CaptureFixture[str]
+):
+    """The step beside ends only when it sees that the next one runs, which ends after it."""
+    beside, longer = checkout.environment.root / "beside", checkout.environment.root / "longer"
+    wait = "while [ ! -e {} ]; do sleep 0.01; done"
+    checkout.environment.python.write_text(
+        '#!/bin/sh\necho "$2 begins"\ncase "$2" in\n'
+        f"  first) {wait.format(longer)} ;;\n  bad) touch {beside}; exit 7 ;;\n"
+        f"  longer) touch {longer}; {wait.format(beside)} ;;\nesac\n"
+    )
+    steps = [*map(environment.Beside, (["-m", "first"], ["-m", "bad"])), ["-m", "longer"], ["-m", "last"]]
+    assert environment.run_steps(checkout.environment, steps) == 7
+    shown = capfd.readouterr()
+    assert shown.out.splitlines() == [f"{name} begins" for name in ("longer", "first", "bad", "last")]
+    assert shown.err.endswith("failed: bad\n")
+
+
 @pytest.mark.parametrize(("given", "seen"), [(None, "8"), ("3", "3")])
 def test_jax_gets_a_pool_that_cannot_deadlock(
     checkout: FakeCheckout, monkeypatch: pytest.MonkeyPatch, given: str | None, seen: str
@@ -276,7 +294,9 @@ def test_test_runs_share_programs_unless_another_folder_or_none_is_asked_for(
 ):
     seen: list[str] = []
 
-    def run(command: list[str], cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    def run(
+        command: list[str], cwd: Path, env: dict[str, str], **_: object
+    ) -> subprocess.CompletedProcess[str]:
         seen.append(env["USARMJX_TEST_CACHE"])
         return subprocess.CompletedProcess(command, 0)
 

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from tools.environment import Beside
+
 ROOT = Path(__file__).resolve().parents[1]
 WORKERS = ("-n", "2", "--dist", "loadfile")
 """A world compiles on every core that it gets: more workers than two were not faster."""
@@ -107,10 +109,14 @@ def everything(*args: str) -> list[list[str]]:
         return [pytest(*args)]
     chosen = "" if args else " and not tools and not thorough"
     kept = ("-m", chosen.removeprefix(" and ")) if chosen else ()
+    # In one process each: a worker would import and collect again, and the tests beside them use the cores.
+    beside = [
+        types(),
+        pytest("--optimised", *NO_HANGING, *OPTIMISED),
+        pytest("--double", *NO_HANGING, *kept, *DOUBLE),
+    ]
     tests = [
         pytest(*WORKERS, *NO_HANGING, *SLOWEST, "-m", f"not alone{chosen}"),
         pytest(*NO_HANGING, "-m", f"alone{chosen}", *files_with_mark("alone")),
-        pytest("--optimised", *WORKERS, *NO_HANGING, *OPTIMISED),
-        pytest("--double", *WORKERS, *NO_HANGING, *kept, *DOUBLE),
     ]
-    return [lint(), formatter("--check"), types(), layers(), *tests]
+    return [lint(), formatter("--check"), layers(), *map(Beside, beside), *tests]

@@ -9,11 +9,14 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 import venv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 PINNED_BY = ("pyproject.toml", "constraints.txt")
 """Files of a checkout that decide the packages."""
@@ -148,30 +151,94 @@ def follow(command: Sequence[str], folder: Path) -> tuple[int, list[str]]:
     return process.returncode, lines
 
 
+class Beside(list[str]):
+    """A step that runs beside the next one that is none of this class, after others before it that are.
+
+    Its output is shown when that step has ended.
+    """
+
+
+class Run:
+    """A run of the steps of a verb.
+
+    Args:
+        environment: Where they run.
+        is_long: Whether it reports each step and its duration.
+    """
+
+    def __init__(self, environment: Environment, is_long: bool) -> None:
+        self._environment, self._is_long = environment, is_long
+        # jaxlib on two cores deadlocks when two batched factorisations share its pool of two threads.
+        kept = str(environment.root / "build" / "tests")
+        self._variables = {"NPROC": "8", "USARMJX_TEST_CACHE": kept, **os.environ}
+        # pyright looks for the packages of the first `python` on the path.
+        path = (str(environment.python.parent), os.environ.get("PATH", ""))
+        self._variables["PATH"] = os.pathsep.join(path)
+        self.failed: list[tuple[str, int]] = []
+
+    def say(self, text: str) -> None:
+        """Print a line if the run has several steps."""
+        if self._is_long:
+            say(text)
+
+    def step(self, step: Sequence[str], output: IO[bytes] | None = None) -> None:
+        """Run one step.
+
+        Args:
+            step: Arguments of Python.
+            output: File for its output; None: where that of this process goes.
+        """
+        words = [word for word in step[1:3] if not word.startswith("-") or word.startswith("--")]
+        name = " ".join(words) if step[0] == "-m" else "import-linter"
+        self.say(name)
+        command = [str(self._environment.python), *step]
+        started = time.monotonic()
+        errors = None if output is None else subprocess.STDOUT
+        run = subprocess.run(
+            command, cwd=self._environment.root, env=self._variables, stdout=output, stderr=errors
+        )
+        self.say(f"{name}: {clock(time.monotonic() - started)}")
+        if status := run.returncode:
+            self.failed.append((name, status if status > 0 else 128 - status))  # as a shell reports it
+
+    def steps_beside(self, steps: Sequence[Sequence[str]], longer: Sequence[str]) -> None:
+        """Run steps one after another while a longer one runs, and show their output after it."""
+        interrupted = threading.Event()
+
+        def run_all(output: IO[bytes]) -> None:
+            for step in steps:
+                if not interrupted.is_set():
+                    self.step(step, output)
+
+        with tempfile.TemporaryFile() as output:
+            others = threading.Thread(target=run_all, args=(output,))
+            others.start()
+            try:
+                self.step(longer)
+                others.join()
+            except KeyboardInterrupt:
+                interrupted.set()
+                raise
+            finally:
+                others.join()
+                output.seek(0)
+                print(output.read().decode(errors="replace"), end="", flush=True)
+
+
 def run_steps(environment: Environment, steps: Sequence[Sequence[str]]) -> int:
     """Run every step, also after a failure, and return the first bad status, else 0."""
-    # jaxlib on two cores deadlocks when two batched factorisations share its pool of two threads.
-    settings = {"NPROC": "8", "USARMJX_TEST_CACHE": str(environment.root / "build" / "tests"), **os.environ}
-    # pyright looks for the packages of the first `python` on the path.
-    settings["PATH"] = os.pathsep.join((str(environment.python.parent), os.environ.get("PATH", "")))
-    failed: list[tuple[str, int]] = []
+    run, beside = Run(environment, len(steps) > 1), list[Sequence[str]]()
     started = time.monotonic()
     for step in steps:
-        words = [word for word in step[1:3] if not word.startswith("-")]
-        name = " ".join(words) if step[0] == "-m" else "import-linter"
-        if len(steps) > 1:
-            say(name)
-        command = [str(environment.python), *step]
-        step_started = time.monotonic()
-        status = subprocess.run(command, cwd=environment.root, env=settings).returncode
-        if len(steps) > 1:
-            say(f"{name}: {clock(time.monotonic() - step_started)}")
-        if status:
-            failed.append((name, status if status > 0 else 128 - status))  # as a shell reports it
-    if len(steps) > 1:
-        say(f"all steps: {clock(time.monotonic() - started)}")
-    if not failed:
+        if isinstance(step, Beside):
+            beside.append(step)
+        elif beside:
+            run.steps_beside(beside, step)
+            beside = []
+        else:
+            run.step(step)
+    run.say(f"all steps: {clock(time.monotonic() - started)}")
+    if not run.failed:
         return 0
-    if len(steps) > 1:
-        say("failed: " + ", ".join(name for name, _ in failed))
-    return failed[0][1]
+    run.say("failed: " + ", ".join(name for name, _ in run.failed))
+    return run.failed[0][1]
