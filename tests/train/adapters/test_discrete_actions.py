@@ -10,7 +10,7 @@ import pytest
 from tests.train.choice_toys import CHOICES, ChoiceToy
 from tests.train.toys import LineToy, group
 from usarmjx.base.errors import UsageError
-from usarmjx.train.adapters.agents import ActionGrid, action_grids
+from usarmjx.train.adapters.agents import ActionGrid, action_grids, own_keywords
 
 FLOAT = 1e-6  # sums of two numbers of size 1 in single precision
 
@@ -47,6 +47,20 @@ def test_grids_that_cannot_be_are_refused(actions, bins, said):
     with pytest.raises(UsageError, match=said):
         action_grids((group("A", 2, 2, 2),), actions, bins)
     assert action_grids((group("A", 2, 2, 2),), "continuous", bins) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "own", "left"),
+    [
+        ({"actions": "discrete", "count": 2}, {"actions": "discrete"}, {"count": 2}),
+        ({"actions": "wheels", "bins": 5}, {"actions": "discrete", "bins": 5}, {"actions": "wheels"}),
+        ({"actions": "continuous", "bins": 5}, {"actions": "continuous", "bins": 5}, {}),
+        ({"actions": "goals"}, {}, {"actions": "goals"}),
+    ],
+)
+def test_tasks_keep_a_field_of_the_same_name(given, own, left):
+    assert own_keywords(given) == own
+    assert given == left
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space")  # no bounds: they are any numbers

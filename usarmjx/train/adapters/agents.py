@@ -257,6 +257,21 @@ def action_grids(
     return grids
 
 
+def own_keywords(keywords: dict[str, Any]) -> dict[str, Any]:
+    """Take an adapter's `actions` and `bins` out of keywords, and leave fields of the task.
+
+    Tasks may have a field `actions`, too: a value that is no kind of action is the task's. `bins` alone asks
+    for discrete actions.
+
+    Args:
+        keywords: Of `make`; loses what is returned.
+    """
+    own = {"bins": keywords.pop("bins"), "actions": "discrete"} if "bins" in keywords else dict[str, Any]()
+    if keywords.get("actions") in get_args(Actions):
+        own["actions"] = keywords.pop("actions")
+    return own
+
+
 def check_render_mode(mode: str | None) -> None:
     """Refuse a render mode that no adapter has.
 

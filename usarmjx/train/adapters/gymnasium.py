@@ -22,6 +22,7 @@ from usarmjx.train.adapters.agents import (
     check_render_mode,
     compiled_step,
     draw_seed,
+    own_keywords,
     picture_of,
     with_held,
 )
@@ -157,8 +158,6 @@ def make_world(
     seed: int = 0,
     engine: str = "auto",
     render_mode: str | None = None,
-    actions: Actions = "continuous",
-    bins: int = BINS,
     **fields: Any,  # noqa: ANN401 - of a task
 ) -> TeamWorld:
     """Return what `gymnasium.make` returns.
@@ -168,15 +167,13 @@ def make_world(
         seed: Of a first `reset` without one.
         engine: `warp`, `jax`, `c`, or `auto`.
         render_mode: None or `rgb_array`.
-        actions: `continuous` or `discrete`.
-        bins: Values of each action, where they are discrete.
-        fields: Of the task, set otherwise.
+        fields: `actions` and `bins` as in `VectorWorlds`; and fields of the task, set otherwise.
     """
     from usarmjx.train.make import make
 
     check_render_mode(render_mode)
-    env = make(task, engine=engine, **fields)
-    return TeamWorld(env, seed, render_mode, actions=actions, bins=bins)
+    given = own_keywords(fields)
+    return TeamWorld(make(task, engine=engine, **fields), seed, render_mode, **given)
 
 
 def make_worlds(
@@ -208,7 +205,7 @@ def make_worlds(
     # Out of the fields, which all go to the task.
     render_mode, max_episode_steps = (fields.pop(name, None) for name in ("render_mode", "max_episode_steps"))
     check_render_mode(render_mode)
-    given = {name: fields.pop(name) for name in ("actions", "bins") if name in fields}
+    given = own_keywords(fields)
     if max_episode_steps is not None:
         if "episode_steps" in fields:
             raise UsageError("max_episode_steps and episode_steps are the same limit, expected one of them")

@@ -432,12 +432,17 @@ class Env:
         index = self._generated.arena_indices(level)
         return jax.tree.map(lambda rows: rows[index], library)
 
-    def _arenas(self, level: jax.Array, library: ArenaState | None = None) -> ArenaState | None:
-        """Return the arenas that worlds go through at a level; None: all have the same."""
+    def arenas_at(self, level: float | jax.Array, library: ArenaState | None = None) -> ArenaState | None:
+        """Return the arenas that worlds go through at a level (arenas, ...); None: all have the same.
+
+        Args:
+            level: From 0 to 1.
+            library: Result of `redrawn_arenas`; None: the arenas of the beginning.
+        """
         if self.scene.arenas is None:
             return None
         library = jax.device_put(library or self.scene.arenas.states)  # at once: each by itself is slow
-        return library if self._generated is None else self._library(library, level)
+        return library if self._generated is None else self._library(library, jnp.float32(level))
 
     def reset(
         self, seed: int | jax.Array | None = None, level: float = 1.0, *, mixed: bool = False
@@ -461,7 +466,7 @@ class Env:
         if mixed and level < 1.0:
             raise UsageError(f"mixed levels are those of all arenas, not of level {level} and below")
         level_now = jnp.float32(level)
-        key, arenas = random.key(self.seed if seed is None else seed), self._arenas(level_now)
+        key, arenas = random.key(self.seed if seed is None else seed), self.arenas_at(level_now)
         if key.ndim and self.worlds % len(key):
             raise UsageError(f"{self.worlds} worlds cannot be divided among {len(key)} seeds")
         if mixed and self._generated is not None:
@@ -492,7 +497,7 @@ class Env:
                 2).
         """
         level = jnp.float32(1.0)
-        arenas = self._arenas(level) if arenas is None else arenas
+        arenas = self.arenas_at(level) if arenas is None else arenas
         blank = self._blank(jax.random.key(0), level, arenas)
         worlds = blank.batch.worlds.replace(key=keys, ranges=ranges)
         return self._begin(blank.replace(batch=blank.batch.replace(worlds=worlds)))
@@ -584,7 +589,7 @@ class Env:
         level = jnp.asarray(level, jnp.float32)
         if self._generated is None:
             return state.replace(level=level)
-        return state.replace(batch=state.batch.replace(arenas=self._arenas(level, library)), level=level)
+        return state.replace(batch=state.batch.replace(arenas=self.arenas_at(level, library)), level=level)
 
     def step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         """Advance every world by one action.
