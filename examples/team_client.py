@@ -23,7 +23,7 @@ import numpy as np
 
 from usarmjx import UsageError
 from usarmjx.client import RadioError, RadioLink, ServerMessage, UsarsimClient, WirelessA
-from usarmjx.train import BASELINES, POLICIES, TASKS, NumpyPolicy, make_task
+from usarmjx.train import BASELINES, POLICIES, NumpyPolicy, make_task
 from usarmjx.train.tasks import GoalTeam, Report, TeamMind
 
 FREE = 1  # a square of a map that is known to be free
@@ -32,23 +32,25 @@ BASE, MEMBER = "ComStation", "P2AT"
 PATIENCE = 300.0  # s: an answer takes no longer; the first ones of a server wait for compilations
 STEP = 0.2  # s between two actions
 
+HEAD = struct.Struct("<If")
+"""Size of a message in bytes, and the time of its sending [s]; the contents follow."""
+
 Chooser = Callable[[np.ndarray], np.ndarray]
 """From observations (robots, n) to choices (robots, goals)."""
 
 
 class Post:
-    """Messages of one size between the robots, over links of the wireless server.
+    """Messages between the robots, over links of the wireless server: size, time of sending, contents.
 
     Args:
         radio: The server.
         names: The robots, the base first; their controllers are registered here.
-        numbers: Numbers of a message, without the time of its sending.
+        mind: The team, which knows the bytes of its messages.
         cutoff: Power below which there is no link [dBm].
     """
 
-    def __init__(self, radio: WirelessA, names: Sequence[str], numbers: int, cutoff: float) -> None:
-        self.radio, self.names, self.cutoff = radio, list(names), cutoff
-        self.size = 4 * (1 + numbers)
+    def __init__(self, radio: WirelessA, names: Sequence[str], mind: TeamMind, cutoff: float) -> None:
+        self.radio, self.names, self.mind, self.cutoff = radio, list(names), mind, cutoff
         self.links: dict[tuple[int, int], RadioLink] = {}  # of the first to the second: the first one's end
         self.rest: dict[tuple[int, int], bytes] = {}
         for name in names:
@@ -83,12 +85,14 @@ class Post:
             if (link := self.links.pop(pair, None)) is not None:
                 link.close()
 
-    def send(self, seconds: float, letters: np.ndarray) -> None:
-        """Send each robot's message (robots, numbers) over all of its links."""
+    def send(self, seconds: float, letters: np.ndarray, receivers: np.ndarray) -> None:
+        """Send each robot's message (robots, numbers) over its links to receivers (robots, robots)."""
         for (i, j), link in list(self.links.items()):
-            data = struct.pack(f"<{self.size // 4}f", seconds, *letters[i])
+            if not receivers[i, j]:
+                continue
+            data = self.mind.encoded(letters[i])
             try:
-                link.send(data)
+                link.send(HEAD.pack(len(data), seconds) + data)
             except ConnectionError:
                 self.close(i, j)
 
@@ -101,10 +105,10 @@ class Post:
             data = self.rest.get((i, j), b"")
             while piece := link.receive(0.0):
                 data += piece
-            while len(data) >= self.size:
-                numbers = np.frombuffer(data[: self.size], "<f4")
-                letters.append((i, j, float(numbers[0]), numbers[1:]))
-                data = data[self.size :]
+            while len(data) >= HEAD.size and len(data) >= HEAD.size + (size := HEAD.unpack_from(data)[0]):
+                whole = data[HEAD.size : HEAD.size + size]
+                letters.append((i, j, HEAD.unpack_from(data)[1], self.mind.decoded(whole)))
+                data = data[HEAD.size + size :]
             self.rest[i, j] = data
             if piece == b"":
                 self.close(i, j)
@@ -183,7 +187,7 @@ class TeamClient:
         self.bodies = bodies[::-1]
         assert task.radio is not None  # as tasks of this kind have one
         radio = WirelessA(host, ports[1], PATIENCE)
-        self.post = Post(radio, names, self.mind.letter_size, task.radio.cutoff)
+        self.post = Post(radio, names, self.mind, task.radio.cutoff)
         self.began, self.now, self.seconds = np.nan, -1.0, np.nan
 
     def act(self) -> bool:
@@ -208,7 +212,7 @@ class TeamClient:
             )
         )
         orders = self.mind.obey(seen, self.choose(seen))
-        self.post.send(self.seconds, orders.letters)
+        self.post.send(self.seconds, orders.letters, orders.receivers)
         for body, (left, right) in zip(self.bodies[1:], orders.wheels, strict=True):
             body.robot.drive(float(left), float(right))
         return True
@@ -222,18 +226,18 @@ class TeamClient:
         self.post.radio.close()
 
 
-def chooser(name: str, task_name: str) -> Chooser:
+def chooser(name: str, task_name: str, task: GoalTeam) -> Chooser:
     """Return the policy of that name for a task; see the module."""
     if name in BASELINES and name != task_name:
-        name, planner = task_name, BASELINES.get(name)
+        planner = BASELINES.get(name)
     elif name == "baseline":
         planner = BASELINES.get(task_name)
     else:
         policy = NumpyPolicy(POLICIES.get(task_name) if name == "packaged" else name)
         group = policy.group(MEMBER)
         return lambda seen: policy.act(group, seen, policy.initial_carry(group, len(seen)))[0]
-    task: Any = SimpleNamespace(name=task_name, task=TASKS.get(task_name))
-    act, key = jax.jit(planner(task).act), jax.random.key(0)
+    env: Any = SimpleNamespace(name=task_name, task=task)
+    act, key = jax.jit(planner(env).act), jax.random.key(0)
     return lambda seen: np.asarray(act((), (jnp.asarray(seen),), key)[1][0])
 
 
@@ -249,6 +253,8 @@ def main() -> int:
     parser.add_argument("task", help="explore-v3 or relay-chain-v3")
     parser.add_argument("--policy", default="packaged", help="packaged, a file, or a planner")
     parser.add_argument("--count", type=int, default=4, help="robots")
+    parser.add_argument("--actions", default="goals", help="goals, or goals+message: as the policy chooses")
+    parser.add_argument("--byte-rate", type=float, help="bytes a second that a robot may send")
     parser.add_argument(
         "--site", type=corners, default="0,0,38.4,28.8", help="x0,y0,x1,y1, y to the left [m]"
     )
@@ -258,10 +264,11 @@ def main() -> int:
     parser.add_argument("--wss-port", type=int, default=5874)
     options = parser.parse_args()
     try:
-        task = make_task(options.task, count=options.count)
+        own = {"count": options.count, "actions": options.actions, "byte_rate": options.byte_rate}
+        task = make_task(options.task, **own)
         if not isinstance(task, GoalTeam):
             raise UsageError(f"robots of {options.task} choose no goals")
-        choose, ports = chooser(options.policy, options.task), (options.port, options.wss_port)
+        choose, ports = chooser(options.policy, options.task, task), (options.port, options.wss_port)
         team = TeamClient(TeamMind(task, options.site), choose, ports, options.host)
     except (OSError, UsageError) as error:
         print(f"team_client: {error}", file=sys.stderr)

@@ -13,6 +13,7 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, Vi
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
+from usarmjx.train.envs.env import command
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.tasks.team import scanner_poses
 
@@ -106,7 +107,7 @@ def view_of(scene, world, physics, poses, *, linked=None, met=None, step=0):
     return TaskView(world=world, physics=physics, readings=tuple(readings), scene=scene)
 
 
-def play(task, paths, linked=None, met=None):
+def play(task, paths, linked=None, met=None, choose=None):
     """Yield memory and result of each step of robots on paths (steps, robots, 3), the start's result None.
 
     Args:
@@ -114,8 +115,10 @@ def play(task, paths, linked=None, met=None):
         paths: Where they are at the start and after each step.
         linked: Which links hold at each of these times (steps, robots, robots); None: none ever.
         met: What victim sensors report at each of them (steps, robots, boxes, 5); None: nothing.
+        choose: Function of view and memory that returns actions, per group (robots, n), by which the task
+            decides; None: it decides nothing, and actions are 0.
     """
-    (scene, world, physics), start, evaluate, act = _machine(task)
+    (scene, world, physics), start, evaluate, act, decide = _machine(task)
     memory = None
     for step, poses in enumerate(paths):
         now = {"linked": None if linked is None else linked[step], "met": None if met is None else met[step]}
@@ -126,13 +129,23 @@ def play(task, paths, linked=None, met=None):
             result = evaluate(view, memory)
             memory = result.memory
         yield view, memory, result
-        world = act(view, memory)
+        if choose is None:
+            world = act(view, memory)
+        else:
+            world, memory = decide(view, memory, choose(view, memory))
 
 
 @cache
 def _machine(task):
     """Scene and compiled functions of a task, once for all tests."""
-    return begin(task), jax.jit(task.start), jax.jit(task.evaluate), jax.jit(partial(_act, task))
+    steps = jax.jit(task.start), jax.jit(task.evaluate), jax.jit(partial(_act, task))
+    return begin(task), *steps, jax.jit(partial(_decide, task))
+
+
+def _decide(task, view, memory, actions):
+    """The world and the memory after a task decided by actions."""
+    orders, memory = command(task, view, memory, actions)
+    return apply_actions(view.scene, view.world, view.physics, orders), memory
 
 
 def _act(task, view, memory):

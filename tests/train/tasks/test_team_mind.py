@@ -24,16 +24,19 @@ def report_of(env, state, letters):
     return Report(seconds, poses, team[1][0], world.links.power[0], letters)
 
 
-def delivered(mind_orders, report, cutoff):
+def delivered(mind, mind_orders, report, cutoff):
     """The messages of all robots, where links hold."""
     robots = len(report.poses)
-    pairs = ((i, j) for i in range(robots) for j in range(robots) if report.power[i, j] >= cutoff)
-    return [(j, i, report.seconds, mind_orders.letters[i]) for i, j in pairs]
+    heard = (report.power >= cutoff) & mind_orders.receivers
+    pairs = ((i, j) for i in range(robots) for j in range(robots) if heard[i, j])
+    # As bytes, because that is how they travel.
+    return [(j, i, report.seconds, mind.decoded(mind.encoded(mind_orders.letters[i]))) for i, j in pairs]
 
 
 @pytest.mark.oracle
-def test_a_team_outside_observes_and_drives_as_the_environment_does():
-    env = make("explore-v3", engine="planar", arena=SMALL, count=2, episode_steps=60)
+@pytest.mark.parametrize("own", [{}, {"actions": "goals+message", "byte_rate": 64.0}], ids=["maps", "parts"])
+def test_a_team_outside_observes_and_drives_as_the_environment_does(own):
+    env = make("explore-v3", engine="planar", arena=SMALL, count=2, episode_steps=60, **own)
     task, planner = env.task, BASELINES.get("explore-v3")(env)
     mind = TeamMind(task, env.scene.arena.extent)
     state, letters = env.reset(3), []
@@ -43,7 +46,7 @@ def test_a_team_outside_observes_and_drives_as_the_environment_does():
         np.testing.assert_allclose(seen, state.obs[0][0], atol=2e-5)
         choices = planner.act((), state.obs, jax.random.key(0))[1][0]
         orders = mind.obey(seen, np.asarray(choices[0]))
-        letters = delivered(orders, report, env.scene.radio.cutoff)
+        letters = delivered(mind, orders, report, env.scene.radio.cutoff)
         # Four wheels, two on a side.
         wheels = np.asarray(env.commanded(state, (choices,)).groups[1].command.target[0, :, :4])
         np.testing.assert_allclose(np.sort(np.tile(orders.wheels, 2)), np.sort(wheels), atol=1e-3)

@@ -18,6 +18,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.planning import frontier_action
+from usarmjx.train.tasks import messages
 from usarmjx.train.tasks.goal_features import (
     CONTACT_SCALE,
     FAR_SCALE,
@@ -74,9 +75,19 @@ def policy_of_choices(env: Env, choose: Chooser) -> Policy:
     if not task.discrete:
         raise UsageError(f"this planner chooses goals, but actions of {env.name} are {task.actions}")
 
+    def one(seen: jax.Array) -> jax.Array:
+        if not task.chooses_messages:
+            return jnp.eye(GOALS)[choose(seen, task.cell)]
+        goal = choose(messages.without_options(seen), task.cell)
+        given = messages.given_option(seen[..., -messages.OPTIONS :], base_first=task.sends_to_base_first)
+        both = jnp.concatenate([jnp.eye(GOALS)[goal], jnp.eye(messages.OPTIONS)[given]], -1)
+        # Only one of the two is to be chosen now, and silence is an option whenever messages are.
+        sends = seen[..., -messages.OPTIONS, None] > 0.5
+        return both * (sends == (np.arange(both.shape[-1]) >= GOALS))
+
     def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
         del key
-        return carry, tuple(jnp.eye(GOALS)[choose(seen, task.cell)] for seen in obs)
+        return carry, tuple(one(seen) for seen in obs)
 
     return Policy(initial_carry=lambda worlds: (), act=act)
 

@@ -306,6 +306,11 @@ class Task(ABC):
         """Whether actions are choices, see `AgentGroup.discrete`; by default they are not."""
         return False
 
+    @property
+    def turn_length(self) -> int:
+        """Steps for which actions are of one of two kinds in turn; 0: all are of one kind, as by default."""
+        return 0
+
     def layout(self, scene: Scene) -> ObservationLayout | None:
         """Return the parts of an observation, see `AgentGroup.layout`; by default they are not known."""
         del scene

@@ -9,6 +9,7 @@ bound of what the part is worth.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +26,7 @@ from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.tasks import goal_features
 from usarmjx.train.tasks.goal_features import FIRST_GOAL, FIRST_MASK, FIRST_MATE, GOAL_NUMBERS, GOALS
 from usarmjx.train.tasks.goal_team import GoalTeam
+from usarmjx.train.tasks.messages import with_options, without_options
 from usarmjx.train.tasks.team import LOCAL_MAP_WIDTH, PERFECT_RADIO, TeamTask
 
 WAYPOINT, ADVICE, MATE_SIZE = 2, 5, 4
@@ -140,6 +142,11 @@ GOAL_ABLATIONS: Ablations = {
 """Ablations of robots that choose goals; without `messages` they still report to their base."""
 
 
+def _beside_options(hide: Hide, obs: jax.Array, others: int) -> jax.Array:
+    """Hide a part of the observations of robots that choose messages, whose options stay."""
+    return with_options(hide(without_options(obs), others), obs)
+
+
 def ablations_of(task: TeamTask) -> Ablations:
     """Return the ablations of a task's policies.
 
@@ -148,6 +155,10 @@ def ablations_of(task: TeamTask) -> Ablations:
     """
     if not isinstance(task, GoalTeam):
         return ABLATIONS
+    if task.chooses_messages:
+        return {
+            name: (change, partial(_beside_options, hide)) for name, (change, hide) in GOAL_ABLATIONS.items()
+        }
     if not task.discrete:
         raise UsageError(
             f"--ablate takes robots that choose goals: expected actions=goals, not {task.actions}"

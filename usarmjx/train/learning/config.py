@@ -344,6 +344,18 @@ class Config:
         return -(-self.imitation_steps // (self.rollout_length * self.num_worlds * agents))
 
 
+def turn_settings(task: str, turn_length: int) -> dict[str, Any]:
+    """Return the settings for a task whose robots make two kinds of choices in turn, see `Task.turn_length`.
+
+    An action is kept for a turn, and a rollout is as long as for the task without turns.
+    """
+    usual = task_config(task)
+    if not turn_length or turn_length >= usual.action_repeat:
+        return {}
+    steps = usual.rollout_length * usual.action_repeat // turn_length
+    return {"action_repeat": turn_length, "rollout_length": steps}
+
+
 def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
     """Return the settings for a task, with overrides.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base import random
+from usarmjx.base.errors import UsageError
 from usarmjx.base.program_cache import PrecompiledProgram, ProgramCache, compile_program
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState, Memory
@@ -118,6 +119,12 @@ class Rollout:
         program_cache: ProgramCache | None = None,
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
+        self._turn_length: int = getattr(getattr(env, "task", None), "turn_length", 0)
+        if self._turn_length % config.action_repeat:
+            raise UsageError(
+                f"action_repeat is {config.action_repeat}, but robots choose goals and messages in turns of "
+                f"{self._turn_length} steps: set a divisor of that"
+            )
         self.teacher, self.worlds = teacher, env.worlds
         self.rivals = Rivals(env, networks.policy, config, teacher_of(env)) if config.league else None
         self.look: Callable[[EnvState], None] = _no_watcher
@@ -183,7 +190,8 @@ class Rollout:
         def draw(key: jax.Array) -> jax.Array:
             start = jax.random.randint(key, (), 0, self.env.episode_steps)
             # A multiple of the repeat, so that a time-out falls on the end of an action, as it does later.
-            return start - start % self.config.action_repeat
+            # Worlds take turns together, so that what is due in one is due in all of them.
+            return start - start % max(self.config.action_repeat, 2 * self._turn_length)
 
         offset = jax.vmap(draw)(keys)
         return number, offset, self.networks.policy.initial_carry(self.worlds)

@@ -23,6 +23,8 @@ from usarmjx.train.mapping.wavefront import UNREACHABLE
 HEADER_SIZE = 6
 """Numbers of a message before the map: where the sender is (x, y, yaw), where it is going (x, y), and its
 last contact with the base (a time)."""
+ABSENT = 1e6
+"""Number of a header that a message does not have."""
 SECTOR_COUNT = 12
 """Sectors that scans are reduced to."""
 SCANNER_RANGE = 4.0
@@ -170,12 +172,17 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
     )
 
 
+def headers(belief: Belief) -> jax.Array:
+    """Return the headers of the robots' messages (robots, HEADER_SIZE)."""
+    return jnp.concatenate([belief.pose, belief.goal, belief.base_contact_time[:, None]], -1)
+
+
 def compose_messages(belief: Belief, to: Array, flyers: np.ndarray | None = None) -> OutgoingMessages:
     """Return the messages of all robots to others (robots, robots): where they are and go, and their maps.
 
     Flying robots (robots,) do not send their sightings: it says nothing of walls.
     """
-    header = jnp.concatenate([belief.pose, belief.goal, belief.base_contact_time[:, None]], -1)
+    header = headers(belief)
     if flyers is not None:
         belief = belief.replace(evidence=jnp.where(flyers[:, None, None], 0, belief.evidence))
     payload = jnp.concatenate([header, jax.vmap(maps.pack)(belief.squares)], -1)
@@ -193,15 +200,16 @@ def update_from_mail(grid: MapGrid, belief: Belief, mail: Inboxes, period: float
         grid: The squares.
         belief: That before it.
         mail: Their boxes.
-        period: Time between two messages of a robot [s].
+        period: Time between two messages of a robot [s]; 0: messages hold parts of maps only, and nothing
+            follows from their times.
     """
     told = jnp.asarray(mail.payload)[..., :HEADER_SIZE]
     packed = jnp.asarray(mail.payload)[..., HEADER_SIZE : HEADER_SIZE + grid.packed_size]
-    headers = jax.vmap(partial(_read_headers, period))(
+    read = jax.vmap(partial(_read_headers, period))(
         (belief.mate_headers, belief.heard_time, belief.link_since, belief.base_contact_time),
         (mail.valid, mail.sender, mail.time, told),
     )
-    mates, heard, since, contact = headers
+    mates, heard, since, contact = read
     return belief.replace(
         received_map=jax.vmap(maps.merge_packed)(belief.received_map, packed, mail.valid),
         mate_headers=mates,
@@ -243,7 +251,7 @@ def _read_headers(
     newest = last(there & (sender == robots[:, None]))
     news = newest >= 0
     return (
-        jnp.where(news[:, None], told[newest], mates),
+        jnp.where(news[:, None] & (told[newest] != ABSENT), told[newest], mates),
         jnp.where(news, time[newest], heard),
         jnp.where(news, begun[newest], since),
         jnp.maximum(contact, jnp.max(known, initial=-jnp.inf)),

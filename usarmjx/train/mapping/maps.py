@@ -212,13 +212,40 @@ def merge_packed(received: Array, numbers: Array, there: Array) -> jax.Array:
         there: Which of them count (maps,).
     """
     whole = jnp.where(there[:, None], numbers, 0.0).astype(jnp.int32)
-    low = np.int32((4**SQUARES_PER_NUMBER - 1) // 3)  # the lower bit of each square
-    some = jnp.bitwise_or.reduce(whole, axis=0)
-    marked = jnp.bitwise_or.reduce(whole & (whole >> 1) & low, axis=0)
-    free = some & low  # or marked
-    walls = (some >> 1) & low & ~free
+    joined = _joined(jnp.bitwise_or.reduce(whole, axis=0), jnp.bitwise_or.reduce(packed_marks(whole), axis=0))
     rows, columns = received.shape
-    return merge_received(received, unpack(free | ((marked | walls) << 1), (rows, columns)))
+    return merge_received(received, unpack(joined, (rows, columns)))
+
+
+LOWER_BITS = np.int32((4**SQUARES_PER_NUMBER - 1) // 3)
+"""The lower bit of each square of a number."""
+
+
+def packed_known(numbers: Array) -> jax.Array:
+    """Return the lower bits of squares that are not unknown, of packed maps of int32."""
+    return jnp.asarray((numbers | numbers >> 1) & LOWER_BITS)
+
+
+def packed_free(numbers: Array) -> jax.Array:
+    """Return the lower bits of squares that are free or marked, of packed maps of int32."""
+    return jnp.asarray(numbers & LOWER_BITS)
+
+
+def packed_marks(numbers: Array) -> jax.Array:
+    """Return the lower bits of squares that are marked, of packed maps of int32."""
+    return jnp.asarray(numbers & numbers >> 1 & LOWER_BITS)
+
+
+def merge_numbers(one: Array, other: Array) -> jax.Array:
+    """Return two packed maps of int32 as one, by the ranks of `merge_received`."""
+    return _joined(one | other, packed_marks(one) | packed_marks(other))
+
+
+def _joined(some: Array, marked: Array) -> jax.Array:
+    """Return packed maps from the union of their bits, and the lower bits of their marks."""
+    free = packed_free(some)
+    walls = (some >> 1) & LOWER_BITS & ~free
+    return jnp.asarray(free | ((marked | walls) << 1))
 
 
 def pack(squares: Array) -> jax.Array:

@@ -17,6 +17,9 @@ The numbers, in the robot's axes (x ahead, y to the left):
   1000 squares); and the time left after the way there and on to the base at 0.3 m/s (1: 100 s);
 - for each goal, whether it is valid.
 
+Robots that choose messages, too, have rows of options behind those of goals, and a mask of these at the end;
+see `messages`.
+
 News are counted in free squares; `GoalTeam.news_worth` converts other kinds of news to squares.
 """
 

@@ -12,14 +12,15 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
+from usarmjx.comms.mail import OutgoingMessages
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
 from usarmjx.train.envs.presence import Presence, drawn_team, remaining_robots
 from usarmjx.train.envs.task import StepResult, TaskView
-from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, update_base_contact
-from usarmjx.train.mapping.maps import FREE, WALL, MapGrid, to_robot_frame
+from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, headers, update_base_contact
+from usarmjx.train.mapping.maps import FREE, MARK, WALL, MapGrid, to_robot_frame
 from usarmjx.train.mapping.planning import (
     WAY_SQUARES,
     Goals,
@@ -31,6 +32,7 @@ from usarmjx.train.mapping.planning import (
     where_due,
 )
 from usarmjx.train.mapping.wavefront import frontier
+from usarmjx.train.tasks import messages
 from usarmjx.train.tasks.equip import base_station, mapping_robot
 from usarmjx.train.tasks.goal_features import (
     CHANNELS,
@@ -93,6 +95,7 @@ class GoalState(struct.PyTreeNode, kw_only=True):
             (robots, i, j); else empty.
         picture: Pictures of the robots' maps as of the last choice (robots, LEVELS, WIDTH, WIDTH, channels);
             else empty.
+        messaging: Memory of messages, if parts of maps are sent; else empty.
     """
 
     achieved: Any
@@ -104,6 +107,7 @@ class GoalState(struct.PyTreeNode, kw_only=True):
     looked: jax.Array | tuple[()] = ()
     sent: jax.Array | tuple[()] = ()
     picture: jax.Array | tuple[()] = ()
+    messaging: messages.MessageState | tuple[()] = ()
 
 
 class KnownMaps(struct.PyTreeNode, kw_only=True):
@@ -164,6 +168,11 @@ class GoalTeam(TeamTask):
     building. The last 19 numbers say which goals are valid. With `observed=map` a picture of the robot's
     whole map at three scales stands before them, see `goal_features`.
 
+    Robots mail their whole map in every step. With `byte_rate` each sends one message every `hold` steps, of
+    as much as its bytes pay for: to the base if that is in range, else to all, see `messages`. Action
+    `goals+message`: 17 more numbers, one for each option of that message; the mask shows the options in the
+    first half of the time between two choices of goals, and goals in the second.
+
     Robots that touch something pay for their contacts. Besides its part of the points, each robot gets `hint`
     times 100 times the share of the building that it was the first to see; this is not part of the score.
 
@@ -178,6 +187,7 @@ class GoalTeam(TeamTask):
             always `count`.
         oracle: Let the robots know the building: their ways lead through what they have not seen, and what
             the score wants is a frontier. A bound, not a method.
+        byte_rate: Bytes a second that each robot may send, each receiver counted; None: any number.
     """
 
     reports: ClassVar[bool] = True
@@ -188,17 +198,20 @@ class GoalTeam(TeamTask):
     """Whether robots may choose to stay, in place of the second robot."""
     news_worth: ClassVar[float] = 1.0
     """Squares that a square of news counts as, where robots observe how much they have."""
+    base_first: ClassVar[bool] = True
+    """Whether robots that do not choose their messages send to the base alone where it is in range."""
 
     episode_steps: int = 800
     haste: float = 0.5
     robot: str | RobotSpec = "P2AT"
     count: Annotated[int, AT_LEAST_ONE] = 4
-    actions: Literal["goals", "wheels"] = "goals"
+    actions: Literal["goals", "goals+message", "wheels"] = "goals"
     hold: Annotated[int, AT_LEAST_ONE] = 8
     hint: Annotated[float, NOT_NEGATIVE] = 0.1
     observed: Literal["goals", "map"] = "goals"
     least_robots: Annotated[int, NOT_NEGATIVE] = 0
     oracle: bool = False
+    byte_rate: Annotated[float, NOT_NEGATIVE] | None = None
 
     def problem(self) -> str:
         """Return a conflict between settings."""
@@ -206,6 +219,8 @@ class GoalTeam(TeamTask):
             return "advice is false, but robots of this task see no advice"
         if self.observed == "map" and not self.discrete:
             return "observed is map, but with actions=wheels robots see no picture"
+        if self.parts and self.hold % 2:
+            return f"hold is {self.hold}, but messages are sent half way between choices: an even number"
         wrong = self.least_robots > self.count
         return f"least_robots is {self.least_robots}, but the team has {self.count} robots" if wrong else ""
 
@@ -221,22 +236,45 @@ class GoalTeam(TeamTask):
     @property
     def discrete(self) -> bool:
         """Goals are choices."""
-        return self.actions == "goals"
+        return self.actions != "wheels"
+
+    @property
+    def chooses_messages(self) -> bool:
+        """Whether robots choose their messages."""
+        return self.actions == "goals+message"
+
+    @property
+    def parts(self) -> bool:
+        """Whether robots send parts of their maps, not all in every step."""
+        return self.chooses_messages or self.byte_rate is not None
+
+    @property
+    def turn_length(self) -> int:
+        """Steps for which goals are chosen, and then messages."""
+        return self.hold // 2 if self.chooses_messages else 0
+
+    @property
+    def options(self) -> int:
+        """Options of messages among the choices."""
+        return messages.OPTIONS * self.chooses_messages
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
-        """A number for each goal, or speed and turn."""
-        return (GOALS if self.discrete else 2,) * len(self.agent_groups(scene))
+        """A number for each goal and each option of a message, or speed and turn."""
+        return (GOALS + self.options if self.discrete else 2,) * len(self.agent_groups(scene))
 
     def layout(self, scene: Scene) -> ObservationLayout | None:
         """As `Task`: the robot, the others, the goals, and perhaps the picture."""
         del scene
         if not self.discrete:
             return None
+        kinds = (0, 1, 3, *(2,) * FRONTIERS) if self.holds else (0, *(1,) * MATES, *(2,) * FRONTIERS)
+        silent = max(kinds) + 1
+        sends = (silent, *(silent + 1,) * (messages.OPTIONS - 1)) if self.chooses_messages else ()
         return ObservationLayout(
             own=OWN_NUMBERS + SECTOR_COUNT,
             others=(OBSERVED_MATES, MATE_NUMBERS),
-            choices=(GOALS, GOAL_NUMBERS),
-            kinds=(0, 1, 3, *(2,) * FRONTIERS) if self.holds else (0, *(1,) * MATES, *(2,) * FRONTIERS),
+            choices=(GOALS + self.options, GOAL_NUMBERS),
+            kinds=(*kinds, *sends),
             picture=Picture(LEVELS, WIDTH, len(CHANNELS)) if self.pictures else NO_PICTURE,
         )
 
@@ -275,9 +313,14 @@ class GoalTeam(TeamTask):
 
     def update_task_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Look at the radio."""
-        if view.world.links is None or self.talk == "none":
+        # Of parts of maps a link says nothing: `noticed` looks at what has been sent.
+        if view.world.links is None or self.talk == "none" or self.parts:
             return belief
         return update_base_contact(belief, view.links.in_range, station_slot(view.scene), view.time)
+
+    def mail_period(self, scene: Scene) -> float:
+        """As `TeamTask`; nothing follows from the times of parts of maps."""
+        return 0.0 if self.parts else super().mail_period(scene)
 
     def plan(self, view: TaskView, belief: Belief) -> Belief:
         """Keep goals: they are chosen by `decide`."""
@@ -353,7 +396,7 @@ class GoalTeam(TeamTask):
         if self.discrete:
             wanted = jnp.zeros((scene.num_robots, GOALS))
             for group, action in zip(self.agent_groups(scene), actions, strict=True):
-                wanted = wanted.at[scene.groups[group].slots].set(action)
+                wanted = wanted.at[scene.groups[group].slots].set(action[:, :GOALS])
             # An invalid goal never wins, whatever a policy's noise says.
             choice = jnp.where(extra.goals.valid, wanted, -jnp.inf).argmax(-1)
         else:
@@ -364,7 +407,8 @@ class GoalTeam(TeamTask):
         goal = _picked(extra.goals.position, chosen)
         # A branch over the whole batch: ways are the dearest part of a step.
         way = where_due(partial(self.ways, scene), due, extra.way, self.known(view, memory), goal)
-        return memory.replace(extra=extra.replace(chosen=chosen, way=way))
+        memory = memory.replace(extra=extra.replace(chosen=chosen, way=way))
+        return self.post(view, memory, actions) if self.parts else memory
 
     def ways(self, scene: Scene, known: KnownMaps, goal: jax.Array) -> jax.Array:
         """Return ways to goals (robots, 2), by slot (robots, WAY_SQUARES, 2)."""
@@ -375,6 +419,55 @@ class GoalTeam(TeamTask):
 
         facts = self.drivable(known), known.pose, goal, _blocked(grid, known)
         return _of_agents(jax.vmap(one), self.agents(scene), scene.num_robots, facts)
+
+    def post(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> TeamMemory:
+        """Take the robots' choices of messages when these are due, and fill them."""
+        state, scene = self.message_state(memory), view.scene
+        offered, _ = self.message_choices(view, memory)
+        chosen = messages.given_option(offered.valid, base_first=self.sends_to_base_first)
+        if self.chooses_messages:
+            for group, action in zip(self.agent_groups(scene), actions, strict=True):
+                slots = scene.groups[group].slots
+                wanted = jnp.where(offered.valid[slots], action[:, GOALS:], -jnp.inf).argmax(-1)
+                chosen = chosen.at[slots].set(wanted)
+        own = messages.packed_maps(memory.belief)
+        state = where_due(messages.posted, self.sends_now(memory), state, state, offered, own, chosen)
+        return memory.replace(extra=memory.extra.replace(messaging=state))
+
+    @property
+    def sends_to_base_first(self) -> bool:
+        """Whether the fixed protocol sends to the base alone where it is in range: all would get less."""
+        return self.base_first and self.byte_rate is not None
+
+    def message_state(self, memory: TeamMemory) -> messages.MessageState:
+        """Return the memory of messages, of a task whose robots send parts of maps."""
+        state = memory.extra.messaging
+        assert isinstance(state, messages.MessageState)
+        return state
+
+    def sends_now(self, memory: TeamMemory) -> jax.Array:
+        """Return whether this step's action is that of messages ()."""
+        return memory.step % self.hold == self.hold // 2
+
+    def message_choices(self, view: TaskView, memory: TeamMemory) -> tuple[messages.Choices, Mates]:
+        """Return the options of the robots' messages, and the nearest others."""
+        scene, base = view.scene, station_slot(view.scene)
+        mates = nearest_mates(memory.belief, base, view.time, MATES)
+        allowed = _linked(view) & self.recipients(scene)
+        seconds = self.hold * self.repeat * scene.physics.period
+        budget = np.inf if self.byte_rate is None else self.byte_rate * seconds
+        return messages.choices(self.message_state(memory), allowed, base, mates, budget), mates
+
+    def outgoing(self, view: TaskView, memory: TeamMemory) -> OutgoingMessages:
+        """As `TeamTask`, or the messages that were posted in this step."""
+        if not self.parts:
+            return super().outgoing(view, memory)
+        state = self.message_state(memory)
+        return OutgoingMessages(
+            receivers=state.receivers & self.sends_now(memory),
+            payload=messages.letters(state, headers(memory.belief)),
+            size_bytes=state.size,
+        )
 
     def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """As `TeamTask`; wheels turn as the controller wants if actions are goals."""
@@ -453,6 +546,9 @@ class GoalTeam(TeamTask):
             goals=none,
             chosen=jnp.zeros(robots, jnp.int32),
             way=jnp.broadcast_to(pose[:, None, :2], (robots, WAY_SQUARES, 2)),
+            messaging=messages.no_messages(robots, self.arena_grid(view.scene).packed_size)
+            if self.parts
+            else (),
         )
 
     def picture(self, scene: Scene, known: KnownMaps, sent: jax.Array) -> jax.Array:
@@ -476,11 +572,31 @@ class GoalTeam(TeamTask):
 
     def noticed(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
         """Return the memory with what the base and the others have got to know."""
+        if self.parts:
+            return self._noticed_parts(view, memory)
         belief, extra = memory.belief, memory.extra
         news = self.news(belief)
         reported = jnp.where(self.base_is_informed(view, belief), news, extra.reported)
         shared = jnp.where(_linked(view), news[:, None], extra.shared)
         return memory.replace(extra=extra.replace(reported=reported, shared=shared))
+
+    def _noticed_parts(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
+        """As `noticed`, from the parts of maps that were sent and received."""
+        belief, base, state = memory.belief, station_slot(view.scene), self.message_state(memory)
+        if view.world.mail is not None:
+            state = messages.heard(state, view.mail)
+        what = "marks" if self.news_kind == MARK else "free"
+        compare = partial(messages.compared, news=what, worth=self.news_worth)
+        due = memory.step % (self.hold // 2) == 0  # before each choice
+        state = where_due(compare, due, state, state, messages.packed_maps(belief))
+        left = state.untold[:, base]
+        informed = (_linked(view)[:, base] & (left == 0.0)) | (np.arange(len(left)) == base)
+        contact = jnp.where(due & informed, view.time, belief.base_contact_time)
+        news = self.news(belief)
+        extra = memory.extra.replace(
+            messaging=state, reported=news - left, shared=news[:, None] - state.untold
+        )
+        return memory.replace(belief=belief.replace(base_contact_time=contact), extra=extra)
 
     def offered(self, view: TaskView, memory: TeamMemory) -> TeamMemory:
         """Return the memory with new goals, and pictures, where a choice is due."""
@@ -515,13 +631,23 @@ class GoalTeam(TeamTask):
         contacts = self.price * begun
         memory = memory.replace(score=memory.score + found.points - contacts.sum())
         reward = found.reward + self.hint * 100.0 * credit - contacts
+        metrics = {**self.metrics(memory), **found.metrics}
+        if self.parts:
+            metrics["bytes"] = self.bytes_per_second(view, memory)
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
             terminated=jnp.zeros((), bool),
             score=memory.score,
-            metrics={**self.metrics(memory), **found.metrics},
+            metrics=metrics,
         )
+
+    def bytes_per_second(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the bytes a second that a robot of the team has sent so far, each receiver counted."""
+        agents = self.agents(view.scene)
+        sent = self.message_state(memory).sent[agents].mean()
+        steps = jnp.maximum(memory.step - memory.skipped, 1)
+        return sent / (steps * self.repeat * view.scene.physics.period)
 
     # Observations.
 
@@ -559,9 +685,16 @@ class GoalTeam(TeamTask):
                 extra.chosen,
                 GoalView(base, view.time, seconds, untold, self.mate_goals),
             ),
-            *([extra.picture.reshape(robots, -1)] if self.pictures else []),
-            extra.goals.valid,
         ]
+        picture, mask = [extra.picture.reshape(robots, -1)] if self.pictures else [], [extra.goals.valid]
+        if self.chooses_messages:
+            offered, mates = self.message_choices(view, memory)
+            state = self.message_state(memory)
+            rows.append(messages.option_features(state, offered, belief, linked, base, mates))
+            since = memory.step % self.hold
+            sends = (since > 0) & (since <= self.hold // 2)
+            mask = [extra.goals.valid & ~sends, offered.valid & sends]
+        rows += [*picture, *mask]
         way = [] if self.discrete else [self.controller_input(memory.replace(belief=self.followed(memory)))]
         return jnp.concatenate([*way, *rows], -1).astype(jnp.float32)
 

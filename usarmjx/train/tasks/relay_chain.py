@@ -230,6 +230,7 @@ class RelayBase(GoalTeam):
 
     about: ClassVar[str] = "Robots choose goals to carry the radio of a base into a building."
     holds: ClassVar[bool] = True
+    base_first: ClassVar[bool] = False  # maps are of use to robots, not to the base
 
     hint: Annotated[float, NOT_NEGATIVE] = 0.0
 

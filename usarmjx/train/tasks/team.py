@@ -15,7 +15,7 @@ from usarmjx.base.rotations import wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
+from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings, OutgoingMessages
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
@@ -401,14 +401,17 @@ class TeamTask(Task):
         # Poses first: scans are drawn from where the robots believe to be now.
         belief = update_pose(grid, belief, self.poses(view))
         if mail and view.world.mail is not None:
-            period = self.repeat * view.scene.physics.period
             # Mail before scans: what others reported a moment ago keeps their bodies from becoming walls.
-            belief = update_from_mail(grid, belief, view.mail, period)
+            belief = update_from_mail(grid, belief, view.mail, self.mail_period(view.scene))
         for g, group in enumerate(view.scene.groups):
             if has_scanner(group):
                 belief = update_from_scan(grid, belief, scan_of(view, g, belief.pose[group.slots]), view.time)
         belief = self.update_task_belief(view, belief)
         return self.plan(view, belief)
+
+    def mail_period(self, scene: Scene) -> float:
+        """Return the time between two messages of a robot [s], see `update_from_mail`."""
+        return self.repeat * scene.physics.period
 
     def first_belief(self, view: TaskView) -> Belief:
         """Return what the robots believe before they scan: where all of them stand."""
@@ -451,10 +454,13 @@ class TeamTask(Task):
         for group, action in zip(self.agent_groups(view.scene), actions, strict=True):
             safe = self.safe_actions(view, memory, group, action) if self.safety else action
             drive[group] = self.drive_values(view, memory, view.scene.groups[group], safe)
-        to = jnp.asarray(self.recipients(view.scene))
-        flyers = self.planner_settings(view.scene).flyers
-        messages = None if view.world.mail is None else compose_messages(memory.belief, to, flyers)
+        messages = None if view.world.mail is None else self.outgoing(view, memory)
         return Actions(drive=drive, messages=messages)
+
+    def outgoing(self, view: TaskView, memory: TeamMemory) -> OutgoingMessages:
+        """Return the messages of all robots: their whole maps."""
+        to = jnp.asarray(self.recipients(view.scene))
+        return compose_messages(memory.belief, to, self.planner_settings(view.scene).flyers)
 
     def safe_actions(self, view: TaskView, memory: TeamMemory, group: int, action: jax.Array) -> jax.Array:
         """Return the safe commands nearest to a group's actions (robots, 2); flying robots keep theirs."""

@@ -24,6 +24,7 @@ from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.belief import HEADER_SIZE
 from usarmjx.train.tasks.goal_team import GoalTeam
+from usarmjx.train.tasks.messages import decode, encode
 from usarmjx.train.tasks.team import TeamMemory
 
 Extent = tuple[tuple[float, float], tuple[float, float]]
@@ -81,12 +82,14 @@ class Orders:
     Attributes:
         seen: Their observations, those of the robots that move (robots - 1, n).
         wheels: Speeds of their left and right wheels [rad/s] (robots - 1, 2).
-        letters: The message of each for all others, the base's first (robots, numbers).
+        letters: The message of each, the base's first (robots, numbers).
+        receivers: Robots that it is for, of those that it can reach (robots, robots).
     """
 
     seen: np.ndarray
     wheels: np.ndarray
     letters: np.ndarray
+    receivers: np.ndarray
 
 
 class TeamMind:
@@ -132,6 +135,23 @@ class TeamMind:
         """Numbers of a message."""
         return HEADER_SIZE + self.task.arena_grid(self.scene).packed_size
 
+    def encoded(self, letter: np.ndarray) -> bytes:
+        """Return the bytes of a message (numbers,): a whole map, or its parts as `messages` counts them."""
+        return encode(letter) if self.task.parts else letter.astype("<f4").tobytes()
+
+    def decoded(self, data: bytes) -> np.ndarray:
+        """Return the message of some bytes (numbers,).
+
+        Raises:
+            ValueError: They are no message of this team.
+        """
+        if self.task.parts:
+            return decode(data, self.letter_size - HEADER_SIZE)
+        letter = np.frombuffer(data, "<f4")
+        if len(letter) != self.letter_size:
+            raise ValueError(f"a message of {len(letter)} numbers, expected {self.letter_size}")
+        return letter
+
     @property
     def squares(self) -> np.ndarray:
         """The maps of all, see `mapping.maps` (robots, i, j)."""
@@ -153,9 +173,9 @@ class TeamMind:
         return np.asarray(self._show(view, self._memory))
 
     def obey(self, seen: np.ndarray, choices: np.ndarray) -> Orders:
-        """Return orders for the robots after they chose (robots - 1, goals)."""
-        self._memory, wheels, letters = self._obey(self._now, self._told, jnp.asarray(choices, jnp.float32))
-        return Orders(seen, np.asarray(wheels), np.asarray(letters))
+        """Return orders for the robots after they chose (robots - 1, choices)."""
+        self._memory, *orders = self._obey(self._now, self._told, jnp.asarray(choices, jnp.float32))
+        return Orders(seen, *map(np.asarray, orders))
 
     def _observe(self, view: HeardView, memory: TeamMemory) -> jax.Array:
         return self.task.observations(view, memory)[1:]
@@ -206,13 +226,13 @@ class TeamMind:
 
     def _obeyed(
         self, view: HeardView, memory: TeamMemory, choices: jax.Array
-    ) -> tuple[TeamMemory, jax.Array, jax.Array]:
+    ) -> tuple[TeamMemory, jax.Array, jax.Array, jax.Array]:
         memory = self.task.decide(view, memory, (choices,))
         orders = self.task.act(view, memory, (choices,))
         (sides,) = orders.drive.values()
         assert orders.messages is not None  # as the scene has mail
         wheels = jnp.stack([sides["Left"], sides["Right"]], -1)
-        return memory, wheels, jnp.asarray(orders.messages.payload)
+        return memory, wheels, jnp.asarray(orders.messages.payload), jnp.asarray(orders.messages.receivers)
 
 
 def _reading(value: np.ndarray) -> Reading:

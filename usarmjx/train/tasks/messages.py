@@ -1,0 +1,362 @@
+"""Messages that robots choose: receivers, kind and contents within a budget of bytes.
+
+A robot sends one message every `GoalTeam.hold` steps, half way between two choices of goals. Its budget for
+that time is divided among the receivers. Messages are, in bytes:
+
+- `pose`: position, yaw, last contact with the base: 16;
+- `plan`: the pose, and the position where the robot goes: 24;
+- `map`: the plan, and strips of its map, 5 each: the index of a strip, and 12 squares in a row of 2 bits;
+- `victims`: as `map`, of marks only.
+
+Of the strips those with most squares that the receivers may not know go first, those with marks before all.
+Each robot remembers what every other one has of its map: what it has sent over links that held, and what
+came from there.
+
+Options: to send nothing; then each kind to all robots in range, to the base, and to each of the two nearest
+robots. An option is described by: position of the receiver (x, y; 1: 12 m; 0 for all), its link as others
+see it, receivers in range (1: 4), squares that they may not know (1: 1000), news that they may not have (1:
+1000 squares), marks that they may not know (1: 4), bytes for each receiver (1: 1024, at most 1), and the kind
+(4 numbers).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.base.backend import Array
+from usarmjx.comms.mail import Inboxes
+from usarmjx.train.mapping.belief import ABSENT, HEADER_SIZE, Belief
+from usarmjx.train.mapping.maps import (
+    SQUARES_PER_NUMBER,
+    merge_numbers,
+    pack,
+    packed_free,
+    packed_known,
+    packed_marks,
+    to_robot_frame,
+)
+from usarmjx.train.tasks.goal_features import FIRST_MASK, MATES, NEAR_SCALE, NEWS_SCALE, Mates
+
+KINDS = ("pose", "plan", "map", "victims")
+POSE, PLAN, MAP, VICTIMS = range(len(KINDS))
+RECEIVERS = 2 + MATES
+"""Choices of receivers: all in range, the base, and the nearest robots."""
+OPTIONS = 1 + RECEIVERS * len(KINDS)
+"""Options of a message; the first is to send nothing."""
+OPTION_NUMBERS = 12
+"""Numbers that describe an option: as many as a goal's, so that both are rows of one table."""
+POSE_BYTES, PLAN_BYTES, STRIP_BYTES = 16, 24, 5
+MARKED = SQUARES_PER_NUMBER + 1
+"""Rank of a strip with marks, above that of any number of other squares."""
+TEAM_SCALE, BYTES_SCALE, MARK_SCALE = 4.0, 1024.0, 4.0
+
+
+class MessageState(struct.PyTreeNode, kw_only=True):
+    """Memory of messages.
+
+    Attributes:
+        known: Packed maps that each robot believes each other one to have (robots, robots, numbers).
+        unknown: Squares of each robot's map that each other one may not know (robots, robots).
+        untold: News among them, as `GoalTeam.news` counts them (robots, robots).
+        marks: Marks among them (robots, robots).
+        chosen: Option that each robot chose last (robots,).
+        receivers: Robots to which it went (robots, robots).
+        strips: Strips of maps that were in it, packed; 0 elsewhere (robots, numbers).
+        size: Size of it [bytes] (robots,).
+        sent: Bytes sent since the episode began, each receiver counted [bytes] (robots,).
+    """
+
+    known: jax.Array
+    unknown: jax.Array
+    untold: jax.Array
+    marks: jax.Array
+    chosen: jax.Array
+    receivers: jax.Array
+    strips: jax.Array
+    size: jax.Array
+    sent: jax.Array
+
+
+class Choices(NamedTuple):
+    """Options of all robots.
+
+    Attributes:
+        receivers: Robots in range that each choice of receivers means (robots, RECEIVERS, robots).
+        room: Bytes for each of them (robots, RECEIVERS).
+        valid: Options that can be chosen (robots, OPTIONS).
+    """
+
+    receivers: jax.Array
+    room: jax.Array
+    valid: jax.Array
+
+
+def no_messages(robots: int, numbers: int) -> MessageState:
+    """Return the state of robots that know nothing of each other's maps, of a size when packed."""
+    pairs = jnp.zeros((robots, robots))
+    return MessageState(
+        known=jnp.zeros((robots, robots, numbers), jnp.int32),
+        unknown=pairs,
+        untold=pairs,
+        marks=pairs,
+        chosen=jnp.zeros(robots, jnp.int32),
+        receivers=jnp.zeros((robots, robots), bool),
+        strips=jnp.zeros((robots, numbers), jnp.int32),
+        size=jnp.zeros(robots, jnp.int32),
+        sent=jnp.zeros(robots),
+    )
+
+
+def packed_maps(belief: Belief) -> jax.Array:
+    """Return the robots' maps as their messages hold them, int32 (robots, numbers)."""
+    return jax.vmap(pack)(belief.squares).astype(jnp.int32)
+
+
+def _count(bits: jax.Array) -> jax.Array:
+    return jax.lax.population_count(bits)
+
+
+def heard(state: MessageState, mail: Inboxes) -> MessageState:
+    """Return the state after robots read their mail: who sends a map has it.
+
+    Of several messages of one sender in a box the last counts here; a robot then believes too little of it,
+    and may send a strip twice.
+    """
+    robots = len(state.chosen)
+    capacity = mail.sender.shape[-1]
+    there = mail.valid[:, None] & (mail.sender[:, None] == np.arange(robots)[:, None])
+    last = jnp.max(jnp.where(there, np.arange(capacity), -1), -1, initial=-1)
+    rows = np.arange(robots)[:, None]
+    came = jnp.asarray(mail.payload)[rows, jnp.maximum(last, 0), HEADER_SIZE:].astype(jnp.int32)
+    came = jnp.where((last >= 0)[..., None], came[..., : state.known.shape[-1]], 0)
+    return state.replace(known=merge_numbers(state.known, came))
+
+
+def compared(state: MessageState, own: jax.Array, news: str, worth: float) -> MessageState:
+    """Return the state with what others may not have of the robots' maps (robots, numbers).
+
+    Args:
+        state: The state.
+        own: Their maps, packed.
+        news: Squares that are news: `free` or `marks`.
+        worth: Squares that a square of news counts as.
+    """
+    there, known = own[:, None], state.known
+    marks = _count(packed_marks(there) & ~packed_marks(known)).sum(-1)
+    free = _count(packed_free(there) & ~packed_free(known)).sum(-1)
+    changed = merge_numbers(there, known) ^ known
+    return state.replace(
+        unknown=_count(packed_known(changed)).sum(-1).astype(jnp.float32),
+        untold=worth * (marks if news == "marks" else free).astype(jnp.float32),
+        marks=marks.astype(jnp.float32),
+    )
+
+
+def choices(state: MessageState, allowed: jax.Array, base: int, mates: Mates, budget: float) -> Choices:
+    """Return the robots' options.
+
+    Args:
+        state: The state.
+        allowed: Links over which they may send (robots, robots).
+        base: Slot of the base.
+        mates: The nearest robots (robots, MATES).
+        budget: Bytes that a robot may send at once, each receiver counted; infinite: any number.
+    """
+    robots = len(allowed)
+    near = (mates.slot[..., None] == np.arange(robots)) & mates.valid[..., None]
+    at_base = jnp.broadcast_to(np.arange(robots) == base, (robots, 1, robots))
+    everyone = jnp.ones((robots, 1, robots), bool)
+    to = jnp.concatenate([everyone, at_base, near], 1) & allowed[:, None]
+    count = to.sum(-1)
+    room = jnp.where(count > 0, budget / jnp.maximum(count, 1), 0.0)
+    strip = room >= PLAN_BYTES + STRIP_BYTES
+    kinds = [
+        room >= POSE_BYTES,
+        room >= PLAN_BYTES,
+        strip & (_most(to, state.unknown) > 0),
+        strip & (_most(to, state.marks) > 0),
+    ]
+    valid = (jnp.stack(kinds, -1) & (count > 0)[..., None]).reshape(robots, -1)
+    return Choices(to, room, jnp.concatenate([jnp.ones((robots, 1), bool), valid], -1))
+
+
+def _most(to: jax.Array, values: jax.Array) -> jax.Array:
+    """Return the most of values of pairs (robots, robots) over receivers (robots, n, robots): (robots, n)."""
+    return jnp.where(to, values[:, None], 0.0).max(-1)
+
+
+def option_features(
+    state: MessageState, offered: Choices, belief: Belief, signals: jax.Array, base: int, mates: Mates
+) -> jax.Array:
+    """Return what robots observe of their options (robots, OPTIONS * OPTION_NUMBERS).
+
+    Args:
+        state: The state.
+        offered: Their options.
+        belief: Their beliefs.
+        signals: Links as they observe them (robots, robots).
+        base: Slot of the base.
+        mates: The nearest robots.
+    """
+    robots = len(signals)
+    rows = np.arange(robots)[:, None]
+    to = offered.receivers
+    places = jnp.concatenate(
+        [
+            belief.pose[:, None, :2],
+            jnp.broadcast_to(belief.pose[base, :2], (robots, 1, 2)),
+            belief.mate_headers[rows, mates.slot, :2],
+        ],
+        1,
+    )
+    facts = [
+        to_robot_frame(belief.pose[:, None], places) / NEAR_SCALE,
+        _most(to, jnp.asarray(signals, jnp.float32))[..., None],
+        (to.sum(-1) / TEAM_SCALE)[..., None],
+        (_most(to, state.unknown) / NEWS_SCALE)[..., None],
+        (_most(to, state.untold) / NEWS_SCALE)[..., None],
+        (_most(to, state.marks) / MARK_SCALE)[..., None],
+        jnp.minimum(offered.room / BYTES_SCALE, 1.0)[..., None],
+    ]
+    each = jnp.repeat(jnp.concatenate(facts, -1), len(KINDS), axis=1)
+    kind = jnp.broadcast_to(jnp.tile(jnp.eye(len(KINDS)), (RECEIVERS, 1)), (robots, OPTIONS - 1, len(KINDS)))
+    described = jnp.concatenate([each, kind], -1)
+    described = jnp.concatenate([jnp.zeros((robots, 1, OPTION_NUMBERS)), described], 1)
+    return jnp.where(offered.valid[..., None], described, 0.0).reshape(robots, -1)
+
+
+FIRST_OPTION, END_OF_OPTIONS = FIRST_MASK, FIRST_MASK + OPTIONS * OPTION_NUMBERS
+"""Options in an observation: their rows follow those of the goals."""
+
+
+def without_options(seen: Array) -> jax.Array:
+    """Return observations (..., n) as of robots that choose goals only: without options and their mask."""
+    seen = jnp.asarray(seen)
+    return jnp.concatenate([seen[..., :FIRST_OPTION], seen[..., END_OF_OPTIONS:-OPTIONS]], -1)
+
+
+def with_options(plain: Array, seen: Array) -> jax.Array:
+    """Return observations without options (..., m) with those of other observations (..., n)."""
+    rows, mask = seen[..., FIRST_OPTION:END_OF_OPTIONS], seen[..., -OPTIONS:]
+    return jnp.concatenate([plain[..., :FIRST_OPTION], rows, plain[..., FIRST_OPTION:], mask], -1)
+
+
+def given_option(valid: Array, *, base_first: bool) -> jax.Array:
+    """Return the options of robots that do not choose them (...,): the fixed protocol.
+
+    They send their map, and their plan where they have nothing new; nothing where nobody is in range.
+
+    Args:
+        valid: Options that can be chosen (..., OPTIONS).
+        base_first: Whether the base alone gets it where it is in range; else all.
+    """
+    to_base = [option(1, MAP)] * base_first
+    order = jnp.array([*to_base, option(0, MAP), option(0, PLAN), 0])
+    first = (jnp.asarray(valid)[..., order] > 0.5).argmax(-1)
+    return order[first]
+
+
+def option(receivers: int, kind: int) -> int:
+    """Return the number of the option to send a kind to a choice of receivers."""
+    return 1 + receivers * len(KINDS) + kind
+
+
+def best_strips(rank: jax.Array, most: jax.Array) -> jax.Array:
+    """Return which strips go into a message (numbers,): the first of the highest ranks.
+
+    Args:
+        rank: Rank of each strip, 0 to `MARKED`; 0: never (numbers,).
+        most: Count of strips for which there is room ().
+    """
+    thresholds = np.arange(1, MARKED + 1)[:, None]
+    # By counts of ranks, not by sorting: there are 13 ranks, and maps of 1,000 strips.
+    least = MARKED + 1 - ((rank >= thresholds).sum(-1) <= most).sum()
+    whole = rank >= least
+    edge = rank == least - 1
+    rest = edge & (jnp.cumsum(edge) <= most - whole.sum())
+    return (whole | rest) & (rank > 0)
+
+
+def posted(state: MessageState, offered: Choices, own: jax.Array, chosen: jax.Array) -> MessageState:
+    """Return the state after robots chose options (robots,), with what they send.
+
+    Args:
+        state: The state.
+        offered: Their options.
+        own: Their maps, packed (robots, numbers).
+        chosen: The options.
+    """
+    rows = jnp.arange(len(chosen))
+    kind, where = (chosen - 1) % len(KINDS), jnp.maximum(chosen - 1, 0) // len(KINDS)
+    to = offered.receivers[rows, where] & (chosen > 0)[:, None]
+    strips = jnp.maximum(offered.room[rows, where] - PLAN_BYTES, 0.0) / STRIP_BYTES
+    most = jnp.minimum(strips, own.shape[-1]).astype(jnp.int32)
+    only_marks = (kind == VICTIMS)[:, None]
+    content = jnp.where(only_marks, packed_marks(own) * 3, own)
+    changed = merge_numbers(content[:, None], state.known) ^ state.known
+    new = _count(packed_known(changed))
+    marked = (packed_marks(content)[:, None] & ~packed_marks(state.known)) > 0
+    rank = jnp.where(to[..., None], jnp.where(marked, MARKED, new), 0).max(1)
+    has_map = (chosen > 0) & (kind >= MAP)
+    sent = jax.vmap(best_strips)(jnp.where(has_map[:, None], rank, 0), most)
+    strips = jnp.where(sent, content, 0)
+    size = jnp.where(kind == POSE, POSE_BYTES, PLAN_BYTES) + STRIP_BYTES * sent.sum(-1)
+    size = jnp.where(chosen > 0, size, 0)
+    return state.replace(
+        # Over a link that holds a message is taken to arrive: nobody confirms it.
+        known=jnp.where(to[..., None], merge_numbers(state.known, strips[:, None]), state.known),
+        chosen=chosen.astype(jnp.int32),
+        receivers=to,
+        strips=strips,
+        size=size.astype(jnp.int32),
+        sent=state.sent + size * to.sum(-1),
+    )
+
+
+def letters(state: MessageState, header: jax.Array) -> jax.Array:
+    """Return the contents of the messages that were posted last (robots, HEADER_SIZE + numbers).
+
+    Args:
+        state: The state.
+        header: Headers of the robots, see `HEADER_SIZE` (robots, HEADER_SIZE).
+    """
+    bare = (state.chosen > 0) & ((state.chosen - 1) % len(KINDS) == POSE)
+    header = header.at[:, 3:5].set(jnp.where(bare[:, None], ABSENT, header[:, 3:5]))
+    return jnp.concatenate([header, state.strips.astype(jnp.float32)], -1)
+
+
+def encode(letter: np.ndarray) -> bytes:
+    """Return the bytes of a message (HEADER_SIZE + numbers,), little-endian, as sizes count them."""
+    pose, plan, contact = letter[:3], letter[3:5], letter[5:HEADER_SIZE]
+    head = np.concatenate([pose, contact, [] if plan[0] == ABSENT else plan]).astype("<f4").tobytes()
+    strips = letter[HEADER_SIZE:].astype(np.int64)
+    parts = [
+        int(index).to_bytes(2, "little") + int(strips[index]).to_bytes(3, "little")
+        for index in np.flatnonzero(strips)
+    ]
+    return head + b"".join(parts)
+
+
+def decode(data: bytes, numbers: int) -> np.ndarray:
+    """Return the message of some bytes (HEADER_SIZE + numbers,).
+
+    Raises:
+        ValueError: The bytes are none of a message of maps of that many numbers.
+    """
+    letter = np.zeros(HEADER_SIZE + numbers, np.float32)
+    rest = len(data) - PLAN_BYTES
+    if len(data) != POSE_BYTES and (rest < 0 or rest % STRIP_BYTES):
+        raise ValueError(f"a message of {len(data)} bytes, expected 16, or 24 and 5 for each strip")
+    head = np.frombuffer(data[: min(len(data), PLAN_BYTES)], "<f4")
+    letter[:3], letter[5], letter[3:5] = head[:3], head[3], ABSENT
+    if len(data) > POSE_BYTES:
+        letter[3:5] = head[4:6]
+    for at in range(PLAN_BYTES, len(data), STRIP_BYTES):
+        index = int.from_bytes(data[at : at + 2], "little")
+        if index >= numbers:
+            raise ValueError(f"a strip {index} of a map of {numbers}")
+        letter[HEADER_SIZE + index] = int.from_bytes(data[at + 2 : at + STRIP_BYTES], "little")
+    return letter
