@@ -347,13 +347,19 @@ class Config:
 def turn_settings(task: str, turn_length: int) -> dict[str, Any]:
     """Return the settings for a task whose robots make two kinds of choices in turn, see `Task.turn_length`.
 
-    An action is kept for a turn, and a rollout is as long as for the task without turns.
+    An action is kept for a turn. As a turn is shorter than an action of the task without turns, there are more
+    of them in a rollout and in the training, and each discounts the less.
     """
     usual = task_config(task)
     if not turn_length or turn_length >= usual.action_repeat:
         return {}
-    steps = usual.rollout_length * usual.action_repeat // turn_length
-    return {"action_repeat": turn_length, "rollout_length": steps}
+    more = usual.action_repeat // turn_length
+    counts = ("rollout_length", "imitation_steps", "total_steps")
+    return {
+        "action_repeat": turn_length,
+        **{name: more * getattr(usual, name) for name in counts},
+        **{name: round(getattr(usual, name) ** (1 / more), 6) for name in ("gamma", "gae_lambda")},
+    }
 
 
 def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
