@@ -160,7 +160,8 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
         old: jax.Array, pose: jax.Array, ranges: jax.Array, others: jax.Array, when: jax.Array
     ) -> jax.Array:
         free, wall = maps.classify_scan(grid, scan.settings, pose, ranges)
-        recent = (time - when < RECENT_AGE)[:, None, None]
+        # The margin is of single precision: ages are whole steps, and one of them may be just this age.
+        recent = (time - when < RECENT_AGE - 1e-3)[:, None, None]
         robot = ((grid.squared_gaps(others) < BODY**2) & recent).any(0)
         return maps.update_evidence(old, free, wall & ~robot)
 
