@@ -6,6 +6,7 @@ import warnings
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -24,8 +25,10 @@ from usarmjx.train.learning.config import (
     task_config,
     training_engine,
     training_fields,
+    turn_settings,
 )
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
+from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.task_names import recorded_name
 from usarmjx.train.tasks import TASKS
 
@@ -220,6 +223,20 @@ def test_minibatches_that_nobody_set_divide_the_worlds():
     assert task_config("explore-v1", num_worlds=3).num_minibatches == 1
     with pytest.raises(UsageError, match="3 worlds cannot be divided into 2 minibatches"):
         task_config("explore-v1", num_worlds=3, num_minibatches=2)
+
+
+def test_robots_that_choose_in_turns_keep_an_action_for_a_turn():
+    """As long a rollout, imitation and training as without turns, and as much discount a second."""
+    usual, turns = task_config("explore-v3"), turn_settings("explore-v3", 4)
+    assert turns["action_repeat"] == 4
+    for name in ("rollout_length", "imitation_steps", "total_steps"):
+        assert turns[name] * 4 == getattr(usual, name) * usual.action_repeat
+    for name in ("gamma", "gae_lambda"):
+        assert turns[name] ** 2 == pytest.approx(getattr(usual, name), abs=1e-6)
+    assert turn_settings("explore-v3", 0) == turn_settings("explore-v3", 8) == {}
+    env = SimpleNamespace(task=SimpleNamespace(turn_length=4), worlds=4)
+    with pytest.raises(UsageError, match="action_repeat is 8, but robots choose goals and messages in turns"):
+        Rollout(cast(Any, env), cast(Any, None), usual)
 
 
 def test_engines_that_need_no_gpu_use_none(monkeypatch):

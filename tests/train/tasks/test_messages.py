@@ -1,7 +1,9 @@
 """Messages that robots choose: their sizes, contents and receivers, beside brute force and closed forms."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from tests.train.rooms import play, room
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.mail import MessageSettings, empty_inboxes
+from usarmjx.train.envs.state import AgentGroup
 from usarmjx.train.mapping.belief import ABSENT, HEADER_SIZE
 from usarmjx.train.mapping.maps import (
     FREE,
@@ -19,6 +22,7 @@ from usarmjx.train.mapping.maps import (
     pack,
     unpack,
 )
+from usarmjx.train.policies.sources import load_policy
 from usarmjx.train.tasks import messages
 from usarmjx.train.tasks.goal_features import GOALS, OBSERVATION_SIZE, Mates
 from usarmjx.train.tasks.messages import (
@@ -267,6 +271,30 @@ def test_observations_lose_and_regain_their_options(told):
     plain = without_options(seen)
     assert plain.shape[-1] == OBSERVATION_SIZE
     np.testing.assert_array_equal(with_options(plain, seen), seen)
+
+
+def test_a_policy_of_goals_plays_with_messages_of_the_fixed_protocol(told):
+    """Goals are those that it chooses of the same numbers; messages are the protocol's."""
+    scene = told[0][0].scene
+    plain = replace(TASK, actions="goals")
+    group = AgentGroup("P2AT", ("a", "b"), OBSERVATION_SIZE, GOALS, discrete=True, layout=plain.layout(scene))
+    both = replace(
+        group, obs_size=OBSERVATION_SIZE + OPTIONS * (OPTION_NUMBERS + 1), action_size=GOALS + OPTIONS
+    )
+    source = load_policy("explore-v3")
+    alone = source.policy(SimpleNamespace(name="explore-v3", task=plain, groups=(group,)))
+    whole = source.policy(SimpleNamespace(name="explore-v3", task=TASK, groups=(both,)))
+    key = jax.random.key(0)
+    for step in (2, 4):
+        view, memory, _ = told[step]
+        seen = TASK.observe(view, memory)[0][None]
+        action = np.asarray(whole.act(whole.initial_carry(1), (seen,), key)[1][0][0])
+        assert (action.sum(-1) == 1.0).all()
+        if step == 4:
+            goal = np.asarray(alone.act(alone.initial_carry(1), (without_options(seen),), key)[1][0][0])
+            np.testing.assert_array_equal(action[:, :GOALS], goal)
+        else:
+            assert action[:, GOALS:].argmax(-1).tolist() == [option(0, MAP)] * 2  # no limit: to all
 
 
 def test_bytes_a_second_limit_what_comes_to_the_base():

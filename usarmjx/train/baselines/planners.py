@@ -15,7 +15,7 @@ import numpy as np
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.planning import frontier_action
 from usarmjx.train.tasks import messages
@@ -75,21 +75,34 @@ def policy_of_choices(env: Env, choose: Chooser) -> Policy:
     if not task.discrete:
         raise UsageError(f"this planner chooses goals, but actions of {env.name} are {task.actions}")
 
-    def one(seen: jax.Array) -> jax.Array:
-        if not task.chooses_messages:
-            return jnp.eye(GOALS)[choose(seen, task.cell)]
-        goal = choose(messages.without_options(seen), task.cell)
+    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
+        del key
+        return carry, tuple(jnp.eye(GOALS)[choose(seen, task.cell)] for seen in obs)
+
+    goals = Policy(initial_carry=lambda worlds: (), act=act)
+    return with_given_messages(task, goals) if task.chooses_messages else goals
+
+
+def with_given_messages(task: GoalTeam, goals: Policy) -> Policy:
+    """Return a policy of goals for robots that choose messages, too: the fixed protocol chooses these.
+
+    Args:
+        task: The task.
+        goals: The policy, of observations without options, see `messages.without_options`.
+    """
+
+    def joined(seen: jax.Array, goal: jax.Array) -> jax.Array:
         given = messages.given_option(seen[..., -messages.OPTIONS :], base_first=task.sends_to_base_first)
-        both = jnp.concatenate([jnp.eye(GOALS)[goal], jnp.eye(messages.OPTIONS)[given]], -1)
+        both = jnp.concatenate([goal, jnp.eye(messages.OPTIONS)[given]], -1)
         # Only one of the two is to be chosen now, and silence is an option whenever messages are.
         sends = seen[..., -messages.OPTIONS, None] > 0.5
         return both * (sends == (np.arange(both.shape[-1]) >= GOALS))
 
-    def act(carry: tuple[()], obs: ObservationArrays, key: jax.Array) -> tuple[tuple[()], ActionArrays]:
-        del key
-        return carry, tuple(one(seen) for seen in obs)
+    def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+        carry, chosen = goals.act(carry, tuple(map(messages.without_options, obs)), key)
+        return carry, tuple(map(joined, obs, chosen))
 
-    return Policy(initial_carry=lambda worlds: (), act=act)
+    return Policy(goals.initial_carry, act)
 
 
 def _task_of(env: Env) -> GoalTeam:

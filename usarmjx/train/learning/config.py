@@ -347,8 +347,8 @@ class Config:
 def turn_settings(task: str, turn_length: int) -> dict[str, Any]:
     """Return the settings for a task whose robots make two kinds of choices in turn, see `Task.turn_length`.
 
-    An action is kept for a turn. As a turn is shorter than an action of the task without turns, there are more
-    of them in a rollout and in the training, and each discounts the less.
+    An action is kept for a turn. As a turn is shorter than an action of the task without turns, there are
+    more of them in a rollout and in the training, and each discounts the less.
     """
     usual = task_config(task)
     if not turn_length or turn_length >= usual.action_repeat:

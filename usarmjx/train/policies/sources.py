@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import parse_assignments
 from usarmjx.train.baselines import BASELINES, PLANNERS
+from usarmjx.train.baselines.planners import with_given_messages
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.membership import building_label, training_note
 from usarmjx.train.envs.recipe import TEST, GeneratedArenas
@@ -29,6 +30,8 @@ from usarmjx.train.make import SourceLoader, check_named, find_baseline, make, m
 from usarmjx.train.policies import POLICIES, no_policy
 from usarmjx.train.policies.policy_file import NumpyPolicy, weights_in
 from usarmjx.train.task_names import newest_name, same_class
+from usarmjx.train.tasks import messages
+from usarmjx.train.tasks.goal_team import GoalTeam
 
 EPISODES, WORLDS = 100, 20
 """Default numbers of episodes and of worlds at once in an evaluation."""
@@ -197,6 +200,8 @@ class PolicySource:
     def policy(self, env: Env) -> Policy:
         """Return the policy for an environment: the most probable actions.
 
+        Robots of a policy that chooses goals send messages by a fixed protocol where they may choose these.
+
         Raises:
             UsageError: It was trained for other robots, observations or actions.
         """
@@ -212,6 +217,9 @@ class PolicySource:
         # Classes and sizes, not the robots themselves: a policy is shared within a class and plays teams of
         # any size.
         mine, theirs = _shapes(policy.groups), _shapes(env.groups)
+        task = getattr(env, "task", None)
+        if isinstance(task, GoalTeam) and task.chooses_messages and mine == _without_options(theirs):
+            return with_given_messages(task, policy.as_policy(params))
         if mine != theirs:
             raise UsageError(
                 f"{self.name} is for robots (class, numbers in observation and action) {mine}; {env.name} "
@@ -353,6 +361,12 @@ def usual_split(task: str, overrides: Mapping[str, Any]) -> str | None:
 
 def _shapes(groups: Sequence[AgentGroup]) -> list[tuple[str, int, int]]:
     return [(group.name, group.obs_size, group.action_size) for group in groups]
+
+
+def _without_options(shapes: list[tuple[str, int, int]]) -> list[tuple[str, int, int]]:
+    """Return the shapes of groups as if they chose no messages."""
+    rows = messages.OPTIONS * (messages.OPTION_NUMBERS + 1)
+    return [(name, obs - rows, actions - messages.OPTIONS) for name, obs, actions in shapes]
 
 
 def task_settings(
