@@ -331,7 +331,7 @@ def letters(state: MessageState, header: jax.Array) -> jax.Array:
 def encode(letter: np.ndarray) -> bytes:
     """Return the bytes of a message (HEADER_SIZE + numbers,), little-endian, as sizes count them."""
     pose, plan, contact = letter[:3], letter[3:5], letter[5:HEADER_SIZE]
-    head = np.concatenate([pose, contact, [] if plan[0] == ABSENT else plan]).astype("<f4").tobytes()
+    head = np.concatenate([pose, contact, plan[:0] if plan[0] == ABSENT else plan]).astype("<f4").tobytes()
     strips = letter[HEADER_SIZE:].astype(np.int64)
     parts = [
         int(index).to_bytes(2, "little") + int(strips[index]).to_bytes(3, "little")
