@@ -318,6 +318,15 @@ def test_bytes_a_second_limit_what_comes_to_the_base():
     assert float(some[-1][2].score) < float(whole[2].score)
 
 
+def test_bytes_of_whole_maps_are_counted_too():
+    """In each step the one robot with a link sends 4 bytes for each number of header and map."""
+    task = replace(TASK, actions="goals")
+    view, _, last = mission(task, linked((0, 1)))[-1]
+    size = 4 * (HEADER_SIZE + task.arena_grid(view.scene).packed_size)
+    rate = size / (task.repeat * view.scene.physics.period)
+    np.testing.assert_allclose(last.metrics["bytes"], rate / 2, rtol=1e-5)  # of two robots
+
+
 def test_a_pose_says_nothing_of_plans():
     """The receiver keeps the plan that it had: where the sender stood at the start."""
     steps = mission(TASK, linked((0, 1), (1, 2)), (option(NEAR, POSE), 0))

@@ -12,14 +12,14 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
-from usarmjx.comms.mail import OutgoingMessages
+from usarmjx.comms.mail import BYTES_PER_NUMBER, OutgoingMessages
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
 from usarmjx.train.envs.presence import Presence, drawn_team, remaining_robots
 from usarmjx.train.envs.task import StepResult, TaskView
-from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, headers, update_base_contact
+from usarmjx.train.mapping.belief import HEADER_SIZE, SECTOR_COUNT, Belief, headers, update_base_contact
 from usarmjx.train.mapping.maps import FREE, MARK, WALL, MapGrid, to_robot_frame
 from usarmjx.train.mapping.planning import (
     WAY_SQUARES,
@@ -96,6 +96,7 @@ class GoalState(struct.PyTreeNode, kw_only=True):
         picture: Pictures of the robots' maps as of the last choice (robots, LEVELS, WIDTH, WIDTH, channels);
             else empty.
         messaging: Memory of messages, if parts of maps are sent; else empty.
+        bytes_sent: Bytes that a robot of the team has sent so far, each receiver counted: mean [bytes] ().
     """
 
     achieved: Any
@@ -108,6 +109,7 @@ class GoalState(struct.PyTreeNode, kw_only=True):
     sent: jax.Array | tuple[()] = ()
     picture: jax.Array | tuple[()] = ()
     messaging: messages.MessageState | tuple[()] = ()
+    bytes_sent: jax.Array | float = 0.0
 
 
 class KnownMaps(struct.PyTreeNode, kw_only=True):
@@ -549,6 +551,7 @@ class GoalTeam(TeamTask):
             messaging=messages.no_messages(robots, self.arena_grid(view.scene).packed_size)
             if self.parts
             else (),
+            bytes_sent=jnp.zeros(()),
         )
 
     def picture(self, scene: Scene, known: KnownMaps, sent: jax.Array) -> jax.Array:
@@ -623,6 +626,7 @@ class GoalTeam(TeamTask):
         steps, scene = self.episode_steps, view.scene
         worth = self.worth((steps - memory.step) / steps)  # this step's number is one more
         memory, credit, begun = self.advance(view, memory)
+        memory = memory.replace(extra=memory.extra.replace(bytes_sent=self.bytes_so_far(view, memory)))
         # Before the score: news that came with this step count as reported in it.
         memory = self.noticed(view, memory)
         found = self.progress(view, memory, worth)
@@ -631,23 +635,24 @@ class GoalTeam(TeamTask):
         contacts = self.price * begun
         memory = memory.replace(score=memory.score + found.points - contacts.sum())
         reward = found.reward + self.hint * 100.0 * credit - contacts
-        metrics = {**self.metrics(memory), **found.metrics}
-        if self.parts:
-            metrics["bytes"] = self.bytes_per_second(view, memory)
+        seconds = jnp.maximum(memory.step - memory.skipped, 1) * self.repeat * scene.physics.period
+        sent = {"bytes": memory.extra.bytes_sent / seconds}
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
             terminated=jnp.zeros((), bool),
             score=memory.score,
-            metrics=metrics,
+            metrics={**self.metrics(memory), **found.metrics, **sent},
         )
 
-    def bytes_per_second(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """Return the bytes a second that a robot of the team has sent so far, each receiver counted."""
-        agents = self.agents(view.scene)
-        sent = self.message_state(memory).sent[agents].mean()
-        steps = jnp.maximum(memory.step - memory.skipped, 1)
-        return sent / (steps * self.repeat * view.scene.physics.period)
+    def bytes_so_far(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the bytes that a robot has sent so far, each receiver in range counted, mean of the team ()."""
+        agents, extra = self.agents(view.scene), memory.extra
+        if self.parts:
+            return self.message_state(memory).sent[agents].mean()
+        size = BYTES_PER_NUMBER * (HEADER_SIZE + self.arena_grid(view.scene).packed_size)
+        links = (_linked(view) & self.recipients(view.scene))[agents].sum(-1).mean()
+        return extra.bytes_sent + size * links
 
     # Observations.
 
