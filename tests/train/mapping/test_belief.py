@@ -178,6 +178,10 @@ def test_another_robot_is_not_drawn_as_a_wall_if_it_said_where_it_is():
     at = (0, *GRID.index(np.array([1.8, 1.2])).tolist())
     assert update_from_scan(GRID, heard, scan, jnp.float32(0.2)).squares[at] == UNKNOWN
     assert update_from_scan(GRID, silent, scan, jnp.float32(0.2)).squares[at] == WALL
+    # Heard at time 0: after 1.2 s too old for messages of every step, not for those of every 1.6 s.
+    late = jnp.float32(1.2)
+    assert update_from_scan(GRID, heard, scan, late).squares[at] == WALL
+    assert update_from_scan(GRID, heard, scan, late, 1.6).squares[at] == UNKNOWN
     stale = scan.__class__(**{**vars(scan), "fresh": jnp.zeros(1, bool)})
     assert (update_from_scan(GRID, silent, stale, jnp.float32(0.2)).squares == UNKNOWN).all()
 

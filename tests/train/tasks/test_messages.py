@@ -12,7 +12,7 @@ from tests.train.rooms import play, room
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.mail import MessageSettings, empty_inboxes
 from usarmjx.train.envs.state import AgentGroup
-from usarmjx.train.mapping.belief import ABSENT, HEADER_SIZE
+from usarmjx.train.mapping.belief import ABSENT, HEADER_SIZE, RECENT_AGE
 from usarmjx.train.mapping.maps import (
     FREE,
     MARK,
@@ -345,3 +345,10 @@ def test_an_odd_time_between_choices_is_refused():
 def test_every_option_keeps_its_meaning_for_each_receiver():
     numbers = [option(to, kind) for to in range(messages.RECEIVERS) for kind in range(len(KINDS))]
     assert numbers == list(range(1, OPTIONS))
+
+
+def test_reports_count_until_the_next_message_is_due():
+    scene = TASK.scene()
+    seconds = TASK.hold * TASK.repeat * scene.physics.period
+    assert TASK.recent_age(scene) == pytest.approx(seconds)
+    assert replace(TASK, actions="goals").recent_age(scene) == RECENT_AGE

@@ -148,10 +148,19 @@ def sectors(ranges: Array) -> jax.Array:
     return jnp.stack([ranges[..., a:b].min(-1) for a, b in itertools.pairwise(edges)], -1)
 
 
-def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array) -> Belief:
+def update_from_scan(
+    grid: MapGrid, belief: Belief, scan: GroupScan, time: Array, recent: float = RECENT_AGE
+) -> Belief:
     """Return the belief after a group's scans.
 
     Walls are not drawn where another robot said a moment ago to be.
+
+    Args:
+        grid: The squares.
+        belief: That before it.
+        scan: The scans.
+        time: The time [s] ().
+        recent: Age of a message from which on it does not count [s].
     """
     evidence, heard = belief.evidence[scan.slots], belief.heard_time[scan.slots]
     mates = belief.mate_headers[scan.slots, :, :2]
@@ -161,8 +170,8 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
     ) -> jax.Array:
         free, wall = maps.classify_scan(grid, scan.settings, pose, ranges)
         # The margin is of single precision: ages are whole steps, and one of them may be just this age.
-        recent = (time - when < RECENT_AGE - 1e-3)[:, None, None]
-        robot = ((grid.squared_gaps(others) < BODY**2) & recent).any(0)
+        new = (time - when < recent - 1e-3)[:, None, None]
+        robot = ((grid.squared_gaps(others) < BODY**2) & new).any(0)
         return maps.update_evidence(old, free, wall & ~robot)
 
     drawn = jax.vmap(one)(evidence, scan.poses, scan.ranges, mates, heard)

@@ -324,6 +324,14 @@ class GoalTeam(TeamTask):
         """As `TeamTask`; nothing follows from the times of parts of maps."""
         return 0.0 if self.parts else super().mail_period(scene)
 
+    def recent_age(self, scene: Scene) -> float:
+        """As `TeamTask`; parts of maps come seldom, so what they say counts until the next ones."""
+        return self.message_interval(scene) if self.parts else super().recent_age(scene)
+
+    def message_interval(self, scene: Scene) -> float:
+        """Return the time between two messages of parts of maps [s]."""
+        return self.hold * self.repeat * scene.physics.period
+
     def plan(self, view: TaskView, belief: Belief) -> Belief:
         """Keep goals: they are chosen by `decide`."""
         del view
@@ -456,8 +464,7 @@ class GoalTeam(TeamTask):
         scene, base = view.scene, station_slot(view.scene)
         mates = nearest_mates(memory.belief, base, view.time, MATES)
         allowed = _linked(view) & self.recipients(scene)
-        seconds = self.hold * self.repeat * scene.physics.period
-        budget = np.inf if self.byte_rate is None else self.byte_rate * seconds
+        budget = np.inf if self.byte_rate is None else self.byte_rate * self.message_interval(scene)
         return messages.choices(self.message_state(memory), allowed, base, mates, budget), mates
 
     def outgoing(self, view: TaskView, memory: TeamMemory) -> OutgoingMessages:
@@ -646,7 +653,7 @@ class GoalTeam(TeamTask):
         )
 
     def bytes_so_far(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """Return the bytes that a robot has sent so far, each receiver in range counted, mean of the team ()."""
+        """Return the bytes that a robot has sent so far, each receiver in range counted: mean ()."""
         agents, extra = self.agents(view.scene), memory.extra
         if self.parts:
             return self.message_state(memory).sent[agents].mean()

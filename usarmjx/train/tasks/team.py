@@ -28,6 +28,7 @@ from usarmjx.train.envs.task import Task, TaskView, TeamMaps, TimeLimit
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import (
     HEADER_SIZE,
+    RECENT_AGE,
     SCANNER_RANGE,
     STALE_AGE,
     Belief,
@@ -405,13 +406,19 @@ class TeamTask(Task):
             belief = update_from_mail(grid, belief, view.mail, self.mail_period(view.scene))
         for g, group in enumerate(view.scene.groups):
             if has_scanner(group):
-                belief = update_from_scan(grid, belief, scan_of(view, g, belief.pose[group.slots]), view.time)
+                scan, recent = scan_of(view, g, belief.pose[group.slots]), self.recent_age(view.scene)
+                belief = update_from_scan(grid, belief, scan, view.time, recent)
         belief = self.update_task_belief(view, belief)
         return self.plan(view, belief)
 
     def mail_period(self, scene: Scene) -> float:
         """Return the time between two messages of a robot [s], see `update_from_mail`."""
         return self.repeat * scene.physics.period
+
+    def recent_age(self, scene: Scene) -> float:
+        """Return the age of messages up to which robots are taken to be where they said to be [s]."""
+        del scene
+        return RECENT_AGE
 
     def first_belief(self, view: TaskView) -> Belief:
         """Return what the robots believe before they scan: where all of them stand."""
