@@ -118,7 +118,7 @@ def play(task: ExploreBase, name: str, policy: str, worlds: int, engine: str) ->
     client = client_module()
     env = build_env(task, worlds, name=name, engine=engine, seed=0)
     shared = PolicyBatch(env, zero_policy(env))
-    mind, choose = TeamMind(task, env.scene.arena.extent), client.chooser(policy, name)
+    mind, choose = TeamMind(task, env.scene.arena.extent), client.chooser(policy, name, task)
     steps, worth = task.episode_steps, task.worth_of_steps()
     with served(shared, worlds) as (clock, ports):
         clock.give(task.repeat - shared.steps)  # reports come right after readings

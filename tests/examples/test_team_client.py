@@ -12,9 +12,10 @@ SMALL = Buildings(levels=(0.4,), count=2, size=(5, 4), together=True, spacing=1.
 
 
 @pytest.mark.thorough
-def test_a_team_over_tcp_tells_its_base_by_radio():
+@pytest.mark.parametrize("own", [{}, {"byte_rate": 512.0}], ids=["maps", "parts"])
+def test_a_team_over_tcp_tells_its_base_by_radio(own):
     """The base has no scanner: its map is what robots have sent it over the wireless server."""
-    task = make_task("explore-v3", arena=SMALL, count=2, episode_steps=40)
+    task = make_task("explore-v3", arena=SMALL, count=2, episode_steps=40, **own)
     found = play(task, "explore-v3", "packaged", 2, "planar")
     assert (found["mapped"] > 0).all()
     np.testing.assert_allclose(found["score"], found["points"] - task.price * found["contacts"])
@@ -27,6 +28,6 @@ def test_planners_and_policies_choose_goals_that_are_there():
     seen = np.zeros((3, layout.size), np.float32)
     seen[:, -19:] = np.eye(19)[[0, 4, 7]]
     for name in ("baseline", "frontier", "courier", "packaged"):
-        chosen = client.chooser(name, "explore-v3")(seen).argmax(-1)
+        chosen = client.chooser(name, "explore-v3", TASKS.get("explore-v3"))(seen).argmax(-1)
         assert chosen.tolist() == [0, 4, 7], name
     assert client.corners("0,-1.5,12,9") == ((0.0, 12.0), (-1.5, 9.0))
