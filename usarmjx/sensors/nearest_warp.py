@@ -1,5 +1,9 @@
-"""Nearest of a few things on Warp: a warp per row takes the next of its numbers, one after the other."""
+"""Nearest of a few things on Warp: a warp per row takes the next of its numbers, one after the other.
 
+Its lanes hold the numbers in registers, and strike out what has been taken.
+"""
+
+from functools import cache
 from typing import Any
 
 import jax
@@ -8,46 +12,90 @@ from jax.custom_batching import custom_vmap
 
 from usarmjx.base.backend import Array
 from usarmjx.base.warp_functions import warp_function
-from usarmjx.sensors.rays.raycast_warp import LAST_KEY, lanes, least_key_of_lanes, thread_index
+from usarmjx.sensors.rays.raycast_warp import thread_index
 
 wp.set_module_options({"enable_backward": False})
 
 MOST = 256
 """Numbers of a row up to which this is faster than sorting it (chosen)."""
+LANES = 32
+"""Threads of a warp."""
 BLOCK_DIM = 128
 """Threads of a block."""
 
 
-@wp.kernel(enable_backward=False, grid_stride=False)
-def select_nearest(distance: wp.array[float], size: int, count: int, index: wp.array[int]) -> None:
-    """Write the indices of the smallest numbers of rows, none of them negative; equal ones in their order."""
-    t = thread_index(wp.tid())
-    row = t >> 5
-    lane = t & 31
-    last = wp.uint32(0)
-    last_index = wp.int32(-1)
-    place = wp.int32(0)
-    while place < count:
-        best = wp.uint32(LAST_KEY)
-        mine = wp.int32(size - 1)
-        i = wp.int32(lane & (lanes() - 1))
-        while i < size:
-            # The bits of floats that are not negative sort like them.
-            bits = wp.cast(distance[row * size + i], wp.uint32)
-            if (bits > last or (bits == last and i > last_index)) and bits < best:
-                best = bits
-                mine = i
-            i += lanes()
-        last = least_key_of_lanes(best)
-        last_index = wp.int32(least_key_of_lanes(wp.where(best == last, wp.uint32(mine), LAST_KEY)))
-        if lane == 0:
-            index[row * count + place] = last_index
-        place += 1
+CODE = """
+#if defined(__CUDA_ARCH__)
+    const int width = 32, lane = threadIdx.x & 31;
+#else
+    const int width = 1, lane = 0;
+#endif
+    const wp::uint32 taken = 0xFFFFFFFFu;
+    auto least_of_lanes = [](wp::uint32 x) {
+#if defined(__CUDA_ARCH__)
+#if __CUDA_ARCH__ >= 800
+        x = __reduce_min_sync(0xffffffffu, x);
+#else
+        for (int step = 16; step > 0; step >>= 1) {
+            const wp::uint32 other = __shfl_xor_sync(0xffffffffu, x, step);
+            x = other < x ? other : x;
+        }
+#endif
+#endif
+        return x;
+    };
+    wp::uint32 left[MOST / width];
+    #pragma unroll
+    for (int k = 0; k < MOST / width; ++k) {
+        const int i = lane + k * width;
+        // The bits of floats that are not negative sort like them.
+        left[k] = i < size ? reinterpret_cast<const wp::uint32*>(distance.data)[row * size + i] : taken;
+    }
+    for (int place = 0; place < count; ++place) {
+        wp::uint32 best = taken, mine = size - 1;
+        #pragma unroll
+        for (int k = 0; k < MOST / width; ++k) {
+            if (left[k] < best) {
+                best = left[k];
+                mine = lane + k * width;
+            }
+        }
+        const wp::uint32 least = least_of_lanes(best);
+        const int first = (int)least_of_lanes(best == least ? mine : taken);
+        #pragma unroll
+        for (int k = 0; k < MOST / width; ++k)
+            if (lane + k * width == first) left[k] = taken;
+        if (lane == 0) index.data[row * count + place] = first;
+    }
+"""
+"""Selection of the smallest numbers of a row of at most `MOST`, of which each lane holds some."""
+
+
+@cache
+def selection_kernel(held: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the kernel that writes the indices of the smallest numbers of rows, none of them negative.
+
+    Equal ones come in their order. Each lane holds `held` numbers.
+    """
+
+    @wp.func_native(CODE.replace("MOST", str(held * LANES)))
+    def take_nearest(
+        distance: wp.array[float], row: int, size: int, count: int, index: wp.array[int]
+    ) -> None: ...
+
+    def select_nearest(distance: wp.array[float], size: int, count: int, index: wp.array[int]) -> None:
+        # On a CPU each lane is a thread of its own, and does the work of the whole warp.
+        take_nearest(distance, thread_index(wp.tid()) >> 5, size, count, index)
+
+    # XLA finds the kernel by this name.
+    select_nearest.__qualname__ = f"select_nearest_of_{held * LANES}"
+    kernel: Any = wp.kernel
+    return kernel(select_nearest, enable_backward=False, grid_stride=False, module="unique")
 
 
 @warp_function
-def _kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
-    return wp.jax_kernel(select_nearest, num_outputs=1, block_dim=BLOCK_DIM)
+def _kernel(held: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    return wp.jax_kernel(selection_kernel(held), num_outputs=1, block_dim=BLOCK_DIM)
 
 
 def nearest_of_rows(distance: Array, count: int) -> Array:
@@ -57,7 +105,9 @@ def nearest_of_rows(distance: Array, count: int) -> Array:
     def run(rows: Array) -> Array:
         size = rows.shape[0] * count
         flat = rows.reshape(-1)
-        (index,) = _kernel()(flat, rows.shape[1], count, output_dims=size, launch_dims=rows.shape[0] * 32)
+        (index,) = _kernel(-(-rows.shape[1] // LANES))(
+            flat, rows.shape[1], count, output_dims=size, launch_dims=rows.shape[0] * 32
+        )
         return index.reshape(-1, count)
 
     @run.def_vmap
