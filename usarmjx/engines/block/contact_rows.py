@@ -65,6 +65,16 @@ def row_function() -> Any:  # noqa: ANN401 - Warp's functions have no type
     return wp.func(write_row)
 
 
+@wp.func
+def place_of(
+    address: wp.array2d[int], starts: wp.array2d[int], world: int, con: int, i: int, dim: int
+) -> int:
+    """Return where the numbers of a contact's row begin in the Jacobian; -1: it has no such row."""
+    if i >= dim or address[con, i] < 0:
+        return -1
+    return starts[world, address[con, i]]
+
+
 @cache
 def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return the kernel."""
@@ -94,26 +104,29 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
         one, other = weld[geom_body[pair[0]]], weld[geom_body[pair[1]]]
         first, second = dof_first[one] + dof_count[one] - 1, dof_first[other] + dof_count[other] - 1
         arm_one, arm_other = position[con] - com[world, root[one]], position[con] - com[world, root[other]]
-        speeds = wp.vec3(0.0, 0.0, 0.0)
+        speeds, places = wp.vec3(0.0, 0.0, 0.0), wp.vec3i(-1, -1, -1)
+        # Read once: the compiler cannot know that the loop's writes leave these arrays as they are.
+        basis = _WARP.mat33(frame[con])
+        for i in range(3):
+            places[i] = place_of(address, starts, world, con, i, dim)
         for k in range(sizes[world, address[con, 0]]):
             dof = wp.max(first, second)  # so a joint of both chains comes up once
             turn, shift = wp.spatial_top(cdof[world, dof]), wp.spatial_bottom(cdof[world, dof])
             jump = float(ancestor[other, dof]) * (shift + wp.cross(turn, arm_other))
             jump -= float(ancestor[one, dof]) * (shift + wp.cross(turn, arm_one))
-            parts = frame[con] * jump
+            parts = basis * jump
+            speeds += qvel[world, dof] * parts
             for i in range(3):
-                if i < dim and address[con, i] >= 0:
-                    place = starts[world, address[con, i]] + k
-                    columns_out[world, 0, place] = dof
-                    jacobian_out[world, 0, place] = parts[i]
-                    speeds[i] += parts[i] * qvel[world, dof]
+                if places[i] >= 0:
+                    columns_out[world, 0, places[i] + k] = dof
+                    jacobian_out[world, 0, places[i] + k] = parts[i]
             first = wp.where(first == dof, dof_parent[wp.max(first, 0)], first)
             second = wp.where(second == dof, dof_parent[wp.max(second, 0)], second)
         of_body = world % weights.shape[0]
         weight = weights[of_body, geom_body[pair[0]]][0] + weights[of_body, geom_body[pair[1]]][0]
         step, scale = timestep[world % timestep.shape[0]], impratio[world % impratio.shape[0]]
-        for i in range(3):
-            if i < dim and address[con, i] >= 0:
+        for i in range(wp.min(dim, 3)):  # no constant: the code of a row is long, and here once
+            if address[con, i] >= 0:
                 jqvel_out[world, address[con, i]] = speeds[i]
                 if (kind[con] & counts) != 0:
                     write_row(
