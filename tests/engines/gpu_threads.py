@@ -91,6 +91,15 @@ unsigned __ballot_sync(unsigned mask, bool x) {
     __syncwarp(mask);
     return found;
 }
+unsigned __match_any_sync(unsigned mask, int x) {
+    told[warp()][lane()] = (uint64_t)x;
+    __syncwarp(mask);
+    unsigned found = 0u;
+    for (int i = 0; i < 32; ++i)
+        if ((mask & members[warp()]) >> i & 1u && told[warp()][i] == (uint64_t)x) found |= 1u << i;
+    __syncwarp(mask);
+    return found;
+}
 int __any_sync(unsigned mask, bool x) { return __ballot_sync(mask, x) != 0u; }
 int atomicMin(int* at, int value) {
     const std::lock_guard<std::mutex> only(making);

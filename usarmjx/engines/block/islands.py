@@ -1,15 +1,15 @@
 """Native code that sorts the constraint rows of each world by island.
 
 Kinematic trees that a constraint couples are one island. A constraint is one row, or all rows of a contact
-with an elliptic cone. A block of threads handles a world: its threads join the trees, then each thread lists
-the constraints of its islands in the order of their rows.
+with an elliptic cone. A block of threads handles a world: its threads join the trees and count what islands
+have, then a warp lists the constraints of each island in the order of their rows.
 """
 
 from collections.abc import Sequence
 
 THREADS = 64
 """Threads of a block, which handles one world."""
-HELD_ROWS, HELD_TREES = 1024, 256
+HELD_ROWS, HELD_TREES = 1024, 128
 """Rows and trees of a world that a GPU's shared memory has room for; more are in global memory."""
 TASK_NUMBERS = 6
 """Numbers of an island: its trees, degrees of freedom, rows, constraints, numbers of its Hessians, offset of
@@ -36,34 +36,53 @@ SIZES_CODE = """
 
 SORT_CODE = """
 #if defined(__CUDA_ARCH__)
-    __shared__ int held_labels[HELD_ROWS], held_roots[HELD_TREES];
+    __shared__ int held_labels[HELD_ROWS], held_roots[HELD_TREES], held_tallies[HELD_TREES * 3];
+    constexpr int width = 32;
     const int lane = (int)threadIdx.x, lanes = THREADS;
     const int world = (int)((unsigned)index / THREADS);
     const auto wait = []() { __syncthreads(); };
     const auto any = [](bool x) { return __syncthreads_or(x) != 0; };
     const auto lower = [](int* at, int value) { atomicMin(at, value); };
-    const auto take = [](int* at) { return atomicAdd(at, 1); };
+    const auto add = [](int* at, int value) { return atomicAdd(at, value); };
+    const auto wait_of_warp = []() { __syncwarp(0xffffffffu); };
+    const auto alike = [](int x) -> unsigned { return __match_any_sync(0xffffffffu, x); };
+    const auto first_of = [](unsigned x) -> int { return __ffs((int)x) - 1; };
 #else
     if ((unsigned)index % THREADS != 0) return;
     const int lane = 0, lanes = 1;
+    constexpr int width = 1;
     const int world = (int)((unsigned)index / THREADS);
     const auto wait = []() {};
     const auto any = [](bool x) { return x; };
     const auto lower = [](int* at, int value) { *at = value < *at ? value : *at; };
-    const auto take = [](int* at) { return (*at)++; };
+    const auto add = [](int* at, int value) {
+        const int before = *at;
+        *at += value;
+        return before;
+    };
+    const auto wait_of_warp = []() {};
+    const auto alike = [](int) -> unsigned { return 1u; };
+    const auto first_of = [](unsigned) -> int { return 0; };
 #endif
     if (world >= worlds) return;
     const int rows = p.nefc.data[world] < most_rows ? p.nefc.data[world] : most_rows;
     const size_t first_row = (size_t)world * most_rows, first_tree = (size_t)world * trees;
 #if defined(__CUDA_ARCH__)
     int* const label = rows <= HELD_ROWS ? held_labels : p.labels.data + first_row;
-    int* const root = trees <= HELD_TREES ? held_roots : p.roots.data + first_tree;
+    const bool held = trees <= HELD_TREES;
+    int* const root = held ? held_roots : p.roots.data + first_tree;
+    // Of each island: rows, constraints, numbers of its Hessians; later those that are listed already.
+    int* const tallies = held ? held_tallies : p.tallies.data + 3 * first_tree;
 #else
     int* const label = p.labels.data + first_row;
     int* const root = p.roots.data + first_tree;
+    int* const tallies = p.tallies.data + 3 * first_tree;
 #endif
     int* const offset = p.offsets.data + first_tree;
-    for (int t = lane; t < trees; t += lanes) root[t] = t;
+    for (int t = lane; t < trees; t += lanes) {
+        root[t] = t;
+        for (int i = 0; i < 3; ++i) tallies[t * 3 + i] = 0;
+    }
     if (lane == 0) p.iterations.data[world] = 0;
 
     // Of the first row of each constraint: its two trees, and how many rows it has.
@@ -119,59 +138,78 @@ SORT_CODE = """
     }
 
     // From now on, a row has its island in place of its lower tree.
-    for (int r = lane; r < rows; r += lanes)
-        if (label[r] >= 0) label[r] = label[r] & ~4095 | root[label[r] & 4095];
+    for (int r = lane; r < rows; r += lanes) {
+        if (label[r] < 0) continue;
+        const int island = root[label[r] & 4095], dim = label[r] >> 24;
+        label[r] = label[r] & ~4095 | island;
+        add(tallies + island * 3, dim);
+        add(tallies + island * 3 + 1, 1);
+        add(tallies + island * 3 + 2, dim * (dim + 1) / 2);
+    }
     for (int t = lane; t < trees; t += lanes) p.roots.data[first_tree + t] = root[t];
     wait();
 
     // Each thread sizes its islands.
     for (int t = lane; t < trees; t += lanes) {
         if (root[t] != t) continue;
-        int members = 0, size = 0, count = 0, constraints = 0, hessians = 0;
+        int members = 0, n = 0, start = 0;
         for (int k = t; k < trees; ++k) {
             if (root[k] != t) continue;
-            offset[k] = size;
-            size += p.tree_size.data[k];
+            offset[k] = n;
+            n += p.tree_size.data[k];
             ++members;
         }
-        for (int r = 0; r < rows; ++r) {
-            const int packed = label[r];
-            if (packed < 0 || (packed & 4095) != t) continue;
-            const int dim = packed >> 24;
-            ++constraints;
-            count += dim;
-            hessians += dim * (dim + 1) / 2;
-        }
+        for (int k = 0; k < t; ++k) start += tallies[k * 3 + 1];  // only islands have any
         int* const numbers = p.islands.data + (first_tree + t) * TASK_NUMBERS;
+        const int count = tallies[t * 3], units = tallies[t * 3 + 1];
+        const int hessians = tallies[t * 3 + 2];
         numbers[0] = members;
-        numbers[1] = size;
+        numbers[1] = n;
         numbers[2] = count;
-        numbers[3] = constraints;
+        numbers[3] = units;
         numbers[4] = hessians;
+        numbers[5] = start;
+        if (units == 0) continue;
+        const int size_class = FITTING_CLASS;
+        const int place = add(p.counts.data + size_class, 1);
+        p.tasks.data[(size_t)size_class * worlds * trees + place] = world * trees + t;
     }
     wait();
     for (int t = lane; t < trees; t += lanes) {
-        int* const numbers = p.islands.data + (first_tree + t) * TASK_NUMBERS;
-        if (root[t] != t || numbers[3] == 0) continue;
-        int start = 0;
-        for (int k = 0; k < t; ++k)
-            if (root[k] == k) start += p.islands.data[(first_tree + k) * TASK_NUMBERS + 3];
-        numbers[5] = start;
-        int* to = p.listed.data + 2 * (first_row + start);
-        int before = 0, hessians = 0;
-        for (int r = 0; r < rows; ++r) {
-            const int packed = label[r];
-            if (packed < 0 || (packed & 4095) != t) continue;
-            const int dim = packed >> 24;
-            *to++ = r | dim << ROW_BITS;
-            *to++ = (int)((unsigned)before | (unsigned)hessians << ROW_BITS);
-            before += dim;
-            hessians += dim * (dim + 1) / 2;
+        if (root[t] != t) continue;
+        tallies[t * 3] = tallies[t * 3 + 2] = 0;
+        tallies[t * 3 + 1] = p.islands.data[(first_tree + t) * TASK_NUMBERS + 5];
+    }
+    wait();
+
+    // One warp lists the constraints in the order of their rows: of each island those of 32 rows at a time.
+    for (int begin = 0; lane < width && begin < rows; begin += width) {
+        const int r = begin + lane, packed = r < rows ? label[r] : -1;
+        const unsigned mine = alike(packed < 0 ? -1 : packed & 4095);
+        int* const tally = tallies + (packed & 4095) * 3;
+        const int dim = packed >> 24;
+        int before = 0, place = 0, hessians = 0;
+        if (packed >= 0) {
+            before = tally[0];
+            place = tally[1];
+            hessians = tally[2];
+            for (unsigned earlier = mine & (1u << lane) - 1u; earlier != 0u; earlier &= earlier - 1u) {
+                const int other = label[begin + first_of(earlier)] >> 24;
+                before += other;
+                ++place;
+                hessians += other * (other + 1) / 2;
+            }
+            int* const to = p.listed.data + 2 * (first_row + place);
+            to[0] = r | dim << ROW_BITS;
+            to[1] = (int)((unsigned)before | (unsigned)hessians << ROW_BITS);
         }
-        const int n = numbers[1], count = numbers[2], units = numbers[3];
-        const int size_class = FITTING_CLASS;
-        const int place = take(p.counts.data + size_class);
-        p.tasks.data[(size_t)size_class * worlds * trees + place] = world * trees + t;
+        wait_of_warp();
+        if (packed >= 0 && mine >> lane == 1u) {  // the island's last of these rows
+            tally[0] = before + dim;
+            tally[1] = place + 1;
+            tally[2] = hessians + dim * (dim + 1) / 2;
+        }
+        wait_of_warp();
     }
 
     // Trees without constraints move as without them.

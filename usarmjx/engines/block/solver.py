@@ -150,7 +150,7 @@ def problem_type() -> Any:  # noqa: ANN401 - Warp's structs have no type
         "jacobian": warp.array3d(dtype=float),
         "weights reference bound inertia smooth_acceleration smooth_force warm_acceleration": number_2d,
         "friction": warp.array(dtype=import_module(WARP_TYPES).vec5),
-        "labels roots offsets islands listed counts tasks": whole,
+        "labels roots offsets tallies islands listed counts tasks": whole,
         "scratch": number,
         "acceleration momentum constraint_force force": number_2d,
         "state": whole_2d,
@@ -224,6 +224,7 @@ def make_problem(m: Any, d: Any) -> Any:  # noqa: ANN401 - as above
         "listed": 2 * d.nworld * d.njmax,
         "roots": trees,
         "offsets": trees,
+        "tallies": 3 * trees,
         "islands": trees * islands.TASK_NUMBERS,
         "tasks": trees * len(CLASSES),
     }
