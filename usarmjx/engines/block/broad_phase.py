@@ -31,9 +31,13 @@ ANY = -1
 """Group of pairs that are always tested: those with margins of their own, and those with planes."""
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 THREADS = 128
-"""Threads of a block, which handles a world."""
+"""Most threads of a block, which handles a world: whole warps."""
+THREAD_PAIRS = 16
+"""Pairs of groups for each thread of a block that has fewer."""
 HELD_GROUPS = 512
 """Groups of a world that a GPU's shared memory has room for; more are in global memory."""
+HELD_STEP = 128
+"""Groups by which the room grows, so that few kernels are compiled."""
 CONVEX_APART = True
 """Whether pairs of the convex collider are behind all others; to be compared."""
 
@@ -176,9 +180,14 @@ their number; on a CPU to the first thread alone."""
 
 
 @cache
-def near_groups() -> tuple[Any, Any]:
-    """Return two functions: one of `NEAR_CODE`, and one of how many threads share a world."""
-    words = {"HELD_GROUPS": HELD_GROUPS, "THREADS": THREADS, "FAR": f"{FAR}f", "SLACK": f"{SLACK}f"}
+def near_groups(threads: int, held: int) -> tuple[Any, Any]:
+    """Return two functions: one of `NEAR_CODE`, and one of how many threads share a world.
+
+    Args:
+        threads: Threads of a block.
+        held: Groups that shared memory has room for.
+    """
+    words = {"HELD_GROUPS": held, "THREADS": threads, "FAR": f"{FAR}f", "SLACK": f"{SLACK}f"}
 
     @wp.func_native(expand_macros(NEAR_CODE, words))
     def find(  # noqa: PLR0913 - a kernel's arguments are its buffers
@@ -199,7 +208,7 @@ def near_groups() -> tuple[Any, Any]:
     @wp.func_native(
         expand_macros(
             "#if defined(__CUDA_ARCH__)\n    return THREADS;\n#else\n    return 1;\n#endif\n",
-            {"THREADS": THREADS},
+            {"THREADS": threads},
         )
     )
     def sharing() -> int: ...
@@ -259,9 +268,15 @@ def pairs_function(*settings: int) -> Any:  # noqa: ANN401
 
 
 @cache
-def worlds_kernel(*settings: int) -> Any:  # noqa: ANN401
-    """Return the kernel that lists pairs of geoms by a block of threads for each world."""
-    list_pairs, (find, sharing) = pairs_function(*settings), near_groups()
+def worlds_kernel(threads: int, held: int, *settings: int) -> Any:  # noqa: ANN401
+    """Return the kernel that lists pairs of geoms by a block of threads for each world.
+
+    Args:
+        threads: Threads of a block.
+        held: Groups that shared memory has room for.
+        settings: As of MuJoCo Warp's own test.
+    """
+    list_pairs, (find, sharing) = pairs_function(*settings), near_groups(threads, held)
 
     # fmt: off
     @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
@@ -281,7 +296,7 @@ def worlds_kernel(*settings: int) -> Any:  # noqa: ANN401
         world, lane = wp.tid()
         count = find(
             aabb, rbound, margin, gap, geoms, first_geom, groups, xpos, xmat, boxes, listed,
-            world * THREADS + lane,
+            world * wp.static(threads) + lane,
         )
         for k in range(lane, count, sharing()):
             which = listed[world * groups.shape[0] + k]
@@ -335,6 +350,9 @@ class BroadPhase:
     Args:
         table: Pairs of geoms of the model.
         device: Device of its arrays.
+
+    Attributes:
+        threads: Threads of a block, which handles a world.
     """
 
     def __init__(self, table: Table, device: Any = None) -> None:  # noqa: ANN401
@@ -349,6 +367,12 @@ class BroadPhase:
         self._pairs, self._convex = put(table.groups, wp.vec2i), put(convex)
         self.convex_kinds = int(convex.max()) + 1
         self.groups, self.group_pairs = len(table.first_geom) - 1, len(table.groups)
+        self.threads, self._room = 32, HELD_STEP
+        if wp.get_device(device).is_cuda:  # on a CPU one kernel serves all models
+            # A world of one robot would leave most threads of a large block idle.
+            warps = -(-self.group_pairs // (32 * THREAD_PAIRS))
+            self.threads = 32 * min(max(1, warps), THREADS // 32)
+            self._room = min(self.groups + -self.groups % HELD_STEP, HELD_GROUPS)
 
     def __call__(self, m: Any, d: Any, context: Any, awake: Any = None) -> None:  # noqa: ANN401
         """List the pairs of geoms that may touch, in MuJoCo Warp's arrays."""
@@ -365,11 +389,11 @@ class BroadPhase:
         boxes = wp.empty(1 if held else 6 * d.nworld * self.groups, dtype=float)
         listed = wp.empty(d.nworld * self.group_pairs, dtype=int)
         wp.launch(
-            worlds_kernel(*settings),
-            dim=(d.nworld, THREADS),
+            worlds_kernel(self.threads, self._room, *settings),
+            dim=(d.nworld, self.threads),
             inputs=[*inputs, self._geoms, self._first_geom, boxes, listed],
             outputs=[*found, *convex],
-            block_dim=THREADS,
+            block_dim=self.threads,
         )
         if not self.convex_kinds:
             return
