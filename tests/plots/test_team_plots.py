@@ -4,8 +4,10 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
+from flax import struct
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from numpy.testing import assert_allclose
@@ -14,10 +16,21 @@ from typer.testing import CliRunner
 from tests.arenas import FLAT
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
-from usarmjx.plots.play import TeamWays, draw_finds, draw_ways, plot_teams
+from usarmjx.plots.play import TeamWays, draw_finds, draw_messages, draw_ways, plot_teams
 from usarmjx.plots.style import PALETTE
 from usarmjx.train.evaluation import yardsticks
 from usarmjx.train.evaluation.yardsticks import TeamResult
+from usarmjx.train.tasks.messages import MAP, PLAN, MessageState, no_messages, option
+from usarmjx.train.tasks.reporting_team import ExploreBase
+
+
+class Extra(struct.PyTreeNode):
+    messaging: MessageState
+
+
+class Memory(struct.PyTreeNode):
+    step: np.ndarray
+    extra: Extra
 
 
 def row(name, finds):
@@ -115,8 +128,38 @@ def test_watching_takes_down_the_first_world(monkeypatch):
     places = iter([np.zeros((2, 3)), np.ones((2, 3)), np.full((2, 3), 2.0)])
     monkeypatch.setattr("usarmjx.plots.play.positions_of", lambda env, state: (next(places), None))
     seen = TeamWays()
-    env = SimpleNamespace(batch=SimpleNamespace(arena_of=lambda state, world: FLAT), period=0.2)
+    env = SimpleNamespace(batch=SimpleNamespace(arena_of=lambda state, world: FLAT), period=0.2, task=None)
     for name in ("a", "a", "b"):
         seen(name, env, SimpleNamespace(batch=None))
     assert (seen.arena, seen.period) == (FLAT, 0.2)
     assert {name: [way[0, 0] for way in ways] for name, ways in seen.ways.items()} == {"a": [0, 1], "b": [2]}
+
+
+def test_messages_are_drawn_from_senders_to_receivers_by_kind(monkeypatch):
+    """World 0: robot 1 sends its map to the base, robot 2 its plan to both; they are taken down once."""
+    task = ExploreBase(count=2, byte_rate=64.0)
+    places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 3.0, 0.0]])
+    state = no_messages(3, 5).replace(
+        chosen=np.array([0, option(1, MAP), option(0, PLAN)]),
+        receivers=np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0]], bool),
+    )
+    monkeypatch.setattr("usarmjx.plots.play.positions_of", lambda env, state: (places, None))
+    env = SimpleNamespace(batch=SimpleNamespace(arena_of=lambda state, world: FLAT), period=0.2, task=task)
+    seen = TeamWays()
+    worlds = jax.tree.map(lambda x: np.asarray(x)[None], state)
+    for step in range(2 * task.hold):
+        memory = Memory(step=np.array([step]), extra=Extra(messaging=worlds))
+        seen("a", env, SimpleNamespace(batch=None, memory=memory))
+    sent = [(one.kind, one.ends.tolist()) for one in seen.sent["a"]]
+    each = [
+        ("map", [[1, 0], [0, 0]]),
+        ("plan", [[2, 3], [0, 0]]),
+        ("plan", [[2, 3], [1, 0]]),
+    ]
+    assert sent == each * 2  # of two messages in 16 steps
+    axes = Figure().add_subplot()
+    draw_messages(axes, seen.sent["a"][:3])
+    lines = [line.get_xydata().tolist() for line in axes.lines if line.get_linestyle() == "-"]
+    assert lines == [each[1][1], each[2][1], each[0][1]]
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert texts == ["plan: 2", "map: 1"]

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -31,6 +31,9 @@ from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import QUARTERS, TeamResult
 from usarmjx.train.learning.trajectory import RolloutInputs, play_again
+from usarmjx.train.tasks.goal_team import GoalTeam
+from usarmjx.train.tasks.messages import KINDS
+from usarmjx.train.tasks.team import TeamMemory
 
 WORLD = 0
 """The world that is looked at."""
@@ -335,6 +338,28 @@ class Clips:
         return float(np.asarray(state.score)[world]), *positions_of(self._env, state, world)
 
 
+class SentMessage(NamedTuple):
+    """A message from one robot to another.
+
+    Attributes:
+        kind: A name of `messages.KINDS`.
+        ends: Positions of sender and receiver [m] (2, 2).
+    """
+
+    kind: str
+    ends: np.ndarray
+
+
+def just_sent(task: GoalTeam, memory: TeamMemory, places: np.ndarray) -> Iterator[SentMessage]:
+    """Yield the messages of a world's last step, between robots at places (robots, 3)."""
+    if int(memory.step) % task.hold != task.hold // 2 + 1:
+        return
+    state = task.message_state(memory)
+    kinds = (np.asarray(state.chosen) - 1) % len(KINDS)
+    for sender, receiver in np.argwhere(np.asarray(state.receivers)):
+        yield SentMessage(KINDS[kinds[sender]], places[[sender, receiver], :2])
+
+
 class TeamWays:
     """Tracks of each team's robots in world 0: a `watch` of `measure_teams`.
 
@@ -342,18 +367,37 @@ class TeamWays:
         arena: Arena of world 0.
         ways: By team: x, y [m] and yaw [rad] of its robots at the begin of each step, [(robots, 3), ...].
         period: Length of a step [s].
+        sent: By team: messages that its robots chose, or the fixed protocol; none of whole maps.
     """
 
     def __init__(self) -> None:
         self.arena: ArenaSpec | None = None
         self.ways: dict[str, list[np.ndarray]] = {}
+        self.sent: dict[str, list[SentMessage]] = {}
         self.period = 0.0
 
     def __call__(self, name: str, env: Env, state: EnvState) -> None:
-        """Take down where they are."""
+        """Take down where they are, and what they have just sent."""
         if self.arena is None:
             self.arena, self.period = env.batch.arena_of(state.batch, WORLD), env.period
-        self.ways.setdefault(name, []).append(positions_of(env, state)[0])
+        places = positions_of(env, state)[0]
+        self.ways.setdefault(name, []).append(places)
+        if isinstance(env.task, GoalTeam) and env.task.parts:
+            memory = jax.tree.map(lambda x: x[WORLD], state.memory)
+            self.sent.setdefault(name, []).extend(just_sent(env.task, memory, places))
+
+
+def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
+    """Draw messages as lines from senders (dots) to receivers, a colour for each kind, with a legend."""
+    for number, kind in enumerate(KINDS):
+        ends = [one.ends for one in sent if one.kind == kind]
+        if not ends:
+            continue
+        colour, label = PALETTE[-1 - number], f"{kind}: {len(ends)}"
+        axes.plot(*np.stack(ends).transpose(2, 1, 0), color=colour, lw=0.5, alpha=0.5, zorder=7)
+        axes.plot(*np.stack(ends)[:, 0].T, ".", color=colour, ms=2.0, zorder=7, label=label)
+    if sent:
+        axes.legend(loc="upper right", fontsize=5, markerscale=3.0, title="messages", title_fontsize=5)
 
 
 def draw_finds(axes: Axes, rows: Sequence[TeamResult], period: float) -> None:
@@ -385,7 +429,7 @@ def draw_ways(axes: Axes, arena: ArenaSpec, way: Sequence[np.ndarray], name: str
 
 
 def plot_teams(task: str, rows: Sequence[TeamResult], seen: TeamWays, out: Path) -> None:
-    """Draw what teams found over time, and below it the ways of each in world 0.
+    """Draw what teams found over time, and below it the ways and messages of each in world 0.
 
     Args:
         task: Its name.
@@ -410,5 +454,6 @@ def plot_teams(task: str, rows: Sequence[TeamResult], seen: TeamWays, out: Path)
         for index, row in enumerate(rows):
             axes = figure.add_subplot(grid[1 + index // COLUMNS, index % COLUMNS])
             draw_ways(axes, seen.arena, seen.ways[row.name], row.name)
+            draw_messages(axes, seen.sent.get(row.name, ()))
         figure.suptitle(f"{task}; paths in {seen.arena.name}", x=0.01, ha="left", fontsize=8)
         save_figure(figure, out)
