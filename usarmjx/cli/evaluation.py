@@ -84,7 +84,7 @@ def teams(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Draw finds over time, and the paths of world 0's robots, to this .png, .pdf, .svg or .eps."
+            help="Draw finds over time, paths and messages of world 0, to this .png, .pdf, .svg or .eps."
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
