@@ -158,7 +158,7 @@ class Beside(list[str]):
     """
 
 
-class Run:
+class StepRun:
     """A run of the steps of a verb.
 
     Args:
@@ -227,7 +227,7 @@ class Run:
 
 def run_steps(environment: Environment, steps: Sequence[Sequence[str]]) -> int:
     """Run every step, also after a failure, and return the first bad status, else 0."""
-    run, beside = Run(environment, len(steps) > 1), list[Sequence[str]]()
+    run, beside = StepRun(environment, len(steps) > 1), list[Sequence[str]]()
     started = time.monotonic()
     for step in steps:
         if isinstance(step, Beside):
