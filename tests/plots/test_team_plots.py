@@ -162,4 +162,4 @@ def test_messages_are_drawn_from_senders_to_receivers_by_kind(monkeypatch):
     lines = [line.get_xydata().tolist() for line in axes.lines if line.get_linestyle() == "-"]
     assert lines == [each[1][1], each[2][1], each[0][1]]
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert texts == ["plan: 2", "map: 1"]
+    assert texts == ["2 plan", "1 map"]

@@ -393,11 +393,13 @@ def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
         ends = [one.ends for one in sent if one.kind == kind]
         if not ends:
             continue
-        colour, label = PALETTE[-1 - number], f"{kind}: {len(ends)}"
+        colour, label = PALETTE[-1 - number], f"{len(ends)} {kind}"
         axes.plot(*np.stack(ends).transpose(2, 1, 0), color=colour, lw=0.5, alpha=0.5, zorder=7)
         axes.plot(*np.stack(ends)[:, 0].T, ".", color=colour, ms=2.0, zorder=7, label=label)
     if sent:
-        axes.legend(loc="upper right", fontsize=5, markerscale=3.0, title="messages", title_fontsize=5)
+        # Above the plan, beside its title: inside it would cover walls.
+        where = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderpad": 0.0}
+        axes.legend(**where, ncols=len(KINDS), markerscale=3.0, handletextpad=0.0, columnspacing=0.5)
 
 
 def draw_finds(axes: Axes, rows: Sequence[TeamResult], period: float) -> None:
