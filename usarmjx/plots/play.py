@@ -398,8 +398,15 @@ def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
         axes.plot(*np.stack(ends)[:, 0].T, ".", color=colour, ms=2.0, zorder=7, label=label)
     if sent:
         # Above the plan, beside its title: inside it would cover walls.
-        where = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderpad": 0.0}
-        axes.legend(**where, ncols=len(KINDS), markerscale=3.0, handletextpad=0.0, columnspacing=0.5)
+        axes.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            borderpad=0.0,
+            ncols=len(KINDS),
+            markerscale=3.0,
+            handletextpad=0.0,
+            columnspacing=0.5,
+        )
 
 
 def draw_finds(axes: Axes, rows: Sequence[TeamResult], period: float) -> None:
