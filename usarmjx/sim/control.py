@@ -131,6 +131,10 @@ STEEP_NOSE = 0.9
 """Sine of the pitch from which a robot stands on its nose or tail: then it is pitched down."""
 CARRIED_SHARE, CARRIED_RATE = 0.9, 0.5
 """Share of a robot's weight that is carried while it is righted, and from which spin on [rad/s]."""
+STEADYING = 0.9
+"""Share of its spin about other axes that is taken away in a control step meanwhile."""
+MIN_INERTIA = 1e-9
+"""Least inertia about the axis: there is none where the axis has no length [kg m2]."""
 DRIFT_DAMPING = 0.5
 """Share of a robot's drift that is taken away in a control step while it is righted."""
 
@@ -584,33 +588,45 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     weight and damps its drift, or the robot would roll away over its edge.
     """
     mat = mat_from_quat(state.quat)
-    up = mat[..., 2]
-    # The axis of the shortest rotation from the robot's own up to the world's.
-    axis = xp.cross(up, np.array([0.0, 0.0, 1.0], np.float32))
-    # Columns of the matrix are the robot's axes in the world's.
-    nose = mat[..., 0]
-    side = xp.where((axis * nose).sum(-1, keepdims=True) < -NEAREST_SIDE, -1.0, 1.0)
-    # First the roll, then the pitch: about an axis in between the nose would turn aside.
-    rolled = (up[..., 2:] < 0.0) | (xp.abs(mat[..., 2:, 1]) > xp.abs(nose[..., 2:]))
-    axis = xp.where(rolled & (xp.abs(nose[..., 2:]) < STEEP_NOSE), side * nose, axis)
-    # Upright and exactly overturned robots have an axis of length 0.
-    axis = axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
-    spin = matvec(mat, state.angular)
+    # In the robot's own axes, in which its dimensions and its inertia apply.
+    axis, spin = matvec(mat.mT, _righting_axis(mat)), state.angular
     squared_size = np.square(np.array(plan.robot.dimensions, np.float32))
-    # The axis in the robot's own axes, so that its dimensions apply.
-    squared_width = ((1.0 - matvec(mat.mT, axis) ** 2) * squared_size).sum(-1, keepdims=True)
+    squared_width = ((1.0 - axis**2) * squared_size).sum(-1, keepdims=True)
     strength = plan.mass * GRAVITY * xp.sqrt(squared_width)
-    # A torque is held for a control step, in which a small robot (a box of its dimensions) turns far: it is
-    # never pushed back, and damped by no more than what takes a quarter of its spin in one step.
-    drive_share = xp.clip(1.0 - (spin * axis).sum(-1, keepdims=True) / FLIP_RATE, 0.0, 1.0)
-    damping = xp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * squared_width / 12 / period)
+    inertia_about_axis = xp.maximum((axis * matvec(plan.inertia, axis)).sum(-1, keepdims=True), MIN_INERTIA)
+    # A torque is held for a control step, in which a small robot turns far: it is never pushed back, and
+    # damped by no more than what takes a quarter of its spin in one step.
+    along = (spin * axis).sum(-1, keepdims=True)
+    drive = xp.clip(1.0 - along / FLIP_RATE, 0.0, 1.0) * strength / inertia_about_axis
+    damping = xp.minimum(strength / FLIP_RATE / inertia_about_axis, 0.25 / period)
     # Spin about other axes, which the ground causes, would turn the nose: most of it is taken away.
-    aside = spin - (spin * axis).sum(-1, keepdims=True) * axis
-    torque = strength * drive_share * axis - damping * (spin + 2.0 * aside)
+    aside = spin - along * axis
+    change = (drive - damping * along) * axis - STEADYING / period * aside
+    torque = matvec(plan.inertia, change) + xp.cross(spin, matvec(plan.inertia, spin))
     # Its drift is damped as fast as a force that is held for a control step can do it.
     drift = state.linear * np.array([1.0, 1.0, 0.0], np.float32)
     turns = xp.clip(xp.linalg.norm(spin, axis=-1, keepdims=True) / CARRIED_RATE, 0.0, 1.0)
     carried = turns * np.array([0.0, 0.0, CARRIED_SHARE * GRAVITY], np.float32)
     force = plan.mass * (carried - DRIFT_DAMPING / period * drift)
-    wrench = xp.concatenate([force, torque], -1)
-    return xp.where(up[..., 2:] < MIN_UPRIGHT_COS, wrench, 0.0)
+    # The engine lets it act on the centre of the chassis: there alone it would turn the robot.
+    lever = np.subtract(plan.centre_of_mass, plan.chassis_centre).astype(np.float32)
+    arm = matvec(mat, xp.broadcast_to(lever, spin.shape))
+    wrench = xp.concatenate([force, matvec(mat, torque) + xp.cross(arm, force)], -1)
+    return xp.where(mat[..., 2:, 2] < MIN_UPRIGHT_COS, wrench, 0.0)
+
+
+def _righting_axis(mat: Array) -> Array:
+    """Return the axes (..., 3), in the world's, about which robots turn upright, of their matrices."""
+    nose, up = mat[..., 0], mat[..., 2]  # columns are the robot's axes in the world's
+    # The axis of the shortest rotation from the robot's own up to the world's.
+    axis = xp.cross(up, np.array([0.0, 0.0, 1.0], np.float32))
+    side = xp.where((axis * nose).sum(-1, keepdims=True) < -NEAREST_SIDE, -1.0, 1.0)
+    # First the roll, then the pitch: about an axis in between the nose would turn aside.
+    roll, pitch = (
+        xp.arctan2(xp.abs(mat[..., 2:, 1]), up[..., 2:]),
+        xp.arcsin(xp.clip(nose[..., 2:], -1.0, 1.0)),
+    )
+    rolled = (up[..., 2:] < 0.0) | (roll > xp.abs(pitch))
+    axis = xp.where(rolled & (xp.abs(nose[..., 2:]) < STEEP_NOSE), side * nose, axis)
+    # Upright and exactly overturned robots have an axis of length 0.
+    return axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)

@@ -117,6 +117,24 @@ def test_robot_state_picks_its_own_numbers():
     np.testing.assert_array_equal(state.joint_vel, [data.joint(f"it/{n}").qvel[0] for n in names])
 
 
+@pytest.mark.oracle
+@pytest.mark.parametrize("robot", [P2AT, P2DX, LIFT], ids=lambda robot: robot.name)
+def test_the_inertia_is_that_of_c_mujocos_mass_matrix(robot):
+    spec = new_spec(NOWHERE, Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    data, plan = mujoco.MjData(model), kinematic_tree_of(robot)
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    # The block of the free joint's rotation is about the chassis' origin.
+    centre = np.array(plan.centre_of_mass)
+    moved = plan.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    np.testing.assert_allclose(plan.inertia, full[3:6, 3:6] - moved, atol=KINEMATICS_ATOL)
+    chassis = index_robot(model, robot, "").body_ids[0]
+    np.testing.assert_allclose(plan.chassis_centre, model.body_ipos[chassis], atol=HEIGHT_ATOL)
+
+
 @pytest.mark.parametrize(("robot", "height"), [(P2AT, 0.26), (P2DX, 0.20)])
 def test_clearance_is_the_manuals_start_height(robot, height):
     assert kinematic_tree_of(robot).clearance == pytest.approx(height, abs=HEIGHT_ATOL)  # manual 5.3.6

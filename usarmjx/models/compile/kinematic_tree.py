@@ -98,6 +98,8 @@ class KinematicTree:
         actuated: Indices of the joints with a motor (actuators,).
         mass: Mass of the built model [kg].
         centre_of_mass: Centre of mass on the chassis with all joints at 0 [m].
+        chassis_centre: Centre of mass of the chassis alone [m].
+        inertia: Inertia about the centre of mass with all joints at 0, in the chassis' axes [kg m2] (3, 3).
         clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
     """
 
@@ -118,6 +120,8 @@ class KinematicTree:
     actuated: np.ndarray
     mass: float
     centre_of_mass: Vec3
+    chassis_centre: Vec3
+    inertia: np.ndarray
     clearance: float
 
     @cached_property
@@ -219,8 +223,7 @@ def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
     for mat, b in zip(turns, body, strict=True):
         mujoco.mju_quat2Mat(mat, model.body_quat[b])
     joints = np.array([model.body_jntadr[b] for b in body[1:]], int)
-    masses = model.body_mass[body]
-    x, y, z = (masses @ data.xipos[body] / masses.sum()).tolist()
+    x, y, z = (model.body_mass[body] @ data.xipos[body] / model.body_mass[body].sum()).tolist()
     return KinematicTree(
         robot=robot,
         parts=(CHASSIS, *joint_names(robot)),
@@ -239,10 +242,22 @@ def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
         actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
         mass=float(model.body_subtreemass[body[0]]),
         centre_of_mass=(x, y, z),
+        chassis_centre=tuple(data.xipos[body[0]].tolist()),
+        inertia=_inertia(model, data, body, np.array([x, y, z])).astype(np.float32),
         clearance=-lowest_point(
             model, data, model.geom_bodyid >= 2
         ),  # bodies 0 and 1 are the world and the arena
     )
+
+
+def _inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], centre: np.ndarray) -> np.ndarray:
+    """Return the inertia of bodies about a point, with current kinematics [kg m2] (3, 3)."""
+    total = np.zeros((3, 3))
+    for body in bodies:
+        axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - centre
+        total += axes @ np.diag(model.body_inertia[body]) @ axes.T
+        total += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return total
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> float:
