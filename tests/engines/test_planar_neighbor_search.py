@@ -194,6 +194,17 @@ def test_they_are_in_use_where_warp_is_and_a_block_holds_the_solids(monkeypatch)
     assert kernels() == ["keep_robots_apart"]
 
 
+def test_large_teams_among_many_solids_have_wide_blocks():
+    """Up to a warp for each robot, whose registers fit on a multiprocessor."""
+    threads_for = warp_neighbor_search.threads_for
+    narrow, wide = warp_neighbor_search.SHARED_CAPACITIES, warp_neighbor_search.GLOBAL_CAPACITIES
+    assert [threads_for(robots, narrow[-1]) for robots in (1, 3, 1024)] == [32, 96, 128]
+    assert [threads_for(robots, wide[0]) for robots in (1, 3, 1024)] == [32, 96, 512]
+    assert warp_neighbor_search.scratch_numbers(4096, 512) == 4096 * (12 + 2 * 16)
+    kernel = warp_neighbor_search.search_kernel(8, wide[0], 512)
+    assert kernel.options["cuda_max_registers"] == 128
+
+
 def plate(rise):
     """A robot on a tilted plate among twelve posts, and what is around it."""
     kinds = np.full(13, mujoco.mjtGeom.mjGEOM_BOX)
@@ -283,14 +294,15 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
         arrays = run_as_on_a_gpu(code, kernel, args, dim, which[-1])
         for mine, theirs in zip(arrays[-len(found) :], found, strict=True):
             np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
-    (most, _, threads), args, found, dim = looked[0]
-    places = warp_neighbor_search.GLOBAL_CAPACITIES[0]
+    (most, _, _), args, found, _ = looked[0]
+    # More warps than robots, too.
+    places, threads = warp_neighbor_search.GLOBAL_CAPACITIES[0], warp_neighbor_search.WIDE_THREADS
     code, kernel = (
         warp_neighbor_search._code(most, places, threads),
         warp_neighbor_search.search_kernel(most, places, threads),
     )
-    scratch = np.zeros(WORLDS * warp_neighbor_search.scratch_numbers(places), np.float32)
-    arrays = run_as_on_a_gpu(code, kernel, [*args[:-1], scratch], dim, threads)
+    scratch = np.zeros(WORLDS * warp_neighbor_search.scratch_numbers(places, threads), np.float32)
+    arrays = run_as_on_a_gpu(code, kernel, [*args[:-1], scratch], WORLDS * threads, threads)
     assert arrays[-1].any(), "solids are in global memory"
     for mine, theirs in zip(arrays[-len(found) : -1], found[:-1], strict=True):
         np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
@@ -317,11 +329,11 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
 def test_they_compile_for_a_gpu(kernel, tmp_path):
     """NVRTC comes with Warp and needs no GPU; a block has 48 KiB of shared memory."""
     capacities = warp_neighbor_search.SHARED_CAPACITIES
-    largest = warp_neighbor_search.GLOBAL_CAPACITIES[-1]
+    largest, widest = warp_neighbor_search.GLOBAL_CAPACITIES[-1], warp_neighbor_search.WIDE_THREADS
     made = {
         "look": lambda: warp_neighbor_search.search_kernel(8, capacities[0]),
         "look at the most": lambda: warp_neighbor_search.search_kernel(12, capacities[-1]),
-        "look in global memory": lambda: warp_neighbor_search.search_kernel(12, largest),
+        "look in global memory": lambda: warp_neighbor_search.search_kernel(12, largest, widest),
         "ground": lambda: warp_neighbor_search.ground_under_robots,
         "part": lambda: warp_separation.separation_kernel(warp_separation.MAX_ROBOTS),
     }[kernel]()

@@ -288,10 +288,10 @@ def _launch_search(solids: SceneSolids, known: NeighborList, proposed: ProposedM
     from usarmjx.engines.planar.warp_neighbor_search import scratch_numbers, solid_capacity, threads_for
 
     (worlds, robots), room = proposed.moves.shape, solid_capacity(solids.count)
-    threads = threads_for(robots)
     assert room is not None, "_fits_on_warp"
+    threads = threads_for(robots, room)
     # Scratch memory is an argument: kernels of Warp cannot allocate any.
-    scratch = jnp.zeros(max(worlds * scratch_numbers(room), 1))
+    scratch = jnp.zeros(max(worlds * scratch_numbers(room, threads), 1))
     kept = known.at, known.room, known.omitted, known.packed_obstacles, known.packed_ground
     kept = *kept, known.scene.loose, known.scene.geoms
     found = _search_kernel(solids.most, room, threads)(

@@ -21,6 +21,12 @@ GROUND_THREADS = 128
 """Threads of a block of the ground kernel."""
 THREADS = 128
 """Most threads of a block, which handles one world: a warp for each robot."""
+WIDE_THREADS = 512
+"""The same where solids are in global memory.
+
+Shared memory has no room for the keys of more warps; without it, large teams of few worlds would leave most
+of a GPU idle while all robots of a world search, after a reset.
+"""
 IN_OUT_ARRAYS = ("at", "room", "omitted", "near", "under", "known_loose", "known_geoms", "scratch")
 """Outputs that the search kernel changes in place."""
 SHARED_CAPACITIES = (64, 128, 256, 416, 600)
@@ -381,9 +387,9 @@ WORLD_CODE = """
 """
 
 
-def threads_for(robots: int) -> int:
-    """Return the threads of a block for a world of some robots: no warp without a robot."""
-    return min(32 * max(robots, 1), THREADS)
+def threads_for(robots: int, capacity: int) -> int:
+    """Return the threads of a block for some robots and a capacity for solids: no warp without a robot."""
+    return min(32 * max(robots, 1), THREADS if capacity in SHARED_CAPACITIES else WIDE_THREADS)
 
 
 def _code(most: int, room: int, threads: int = THREADS) -> str:
@@ -397,7 +403,7 @@ def _code(most: int, room: int, threads: int = THREADS) -> str:
     )
     words: dict[str, object] = {name: f"{getattr(neighbor_lists, name)}f" for name in measures}
     words |= {"MOST": most, "ROOM": room, "THREADS": f"{threads}u"}
-    scratch = scratch_numbers(room)
+    scratch = scratch_numbers(room, threads)
     words |= {"IN_GLOBAL_MEMORY": int(scratch > 0), "SCRATCH_NUMBERS": scratch}
     return scene_code(WORLD_CODE, SEARCH_CODE, words)
 
@@ -408,9 +414,9 @@ def solid_capacity(solids: int) -> int | None:
     return next((capacity for capacity in capacities if capacity >= solids), None)
 
 
-def scratch_numbers(capacity: int) -> int:
+def scratch_numbers(capacity: int, threads: int = THREADS) -> int:
     """Return the count of numbers in global memory that a world needs for its solids and their keys."""
-    return capacity * (12 + THREADS // 32 * 2) if capacity > max(SHARED_CAPACITIES) else 0
+    return capacity * (12 + threads // 32 * 2) if capacity > max(SHARED_CAPACITIES) else 0
 
 
 @cache
@@ -471,4 +477,6 @@ def search_kernel(most: int, places: int, threads: int = THREADS) -> Any:  # noq
     # XLA finds the kernel by this name, so it must be unique and independent of the order of creation.
     look_around_robots.__qualname__ = f"look_around_robots_{most}_{places}_{threads}"
     kernel: Any = wp.kernel
-    return kernel(look_around_robots, enable_backward=False, grid_stride=False, module="unique")
+    # A multiprocessor has 65,536 registers, and a block needs all of its threads there at once.
+    limit = {"cuda_max_registers": 65536 // threads} if threads > THREADS else {}
+    return kernel(look_around_robots, enable_backward=False, grid_stride=False, module="unique", **limit)
