@@ -219,6 +219,28 @@ def test_a_battery_is_an_item_with_a_place_and_options(load):
     assert format_message(conf).startswith("CONF {Type Battery} {Name battery} {")
 
 
+@pytest.mark.parametrize(
+    ("figures", "life"),
+    [
+        ("batteryLife=600.0\n", 600.0),
+        ("maxEnergy=1000000.0\ncurrentEnergy=250000.0\nbatteryLife=1200.0\n", 300.0),
+        ("currentEnergy=5000000.0\n", 1200.0),  # it holds no more than its most: Battery.uc, AddEnergy
+    ],
+)
+def test_a_battery_lasts_as_long_as_its_energy_does(load, figures, life):
+    """ExpectedLifeTime of Battery.uc: the present energy over the full one that goes in a life."""
+    loaded = load(f"[USARSensor.Battery]\n{figures}[USARBot.P3AT]\n" + part("Battery", "battery"))
+    assert of(loaded).battery_life == life
+    assert not [text for text in loaded.warnings if "Energy" in text or "batteryLife" in text]
+
+
+def test_a_life_of_the_robots_own_section_comes_first(load):
+    own = "[USARBot.P3AT]\nbatteryLife=77\n" + part("Battery", "battery")
+    assert of(load("[USARSensor.Battery]\nbatteryLife=600.0\n" + own)).battery_life == 77.0
+    with pytest.raises(SpecError, match="maxEnergy is 0; expected a number above 0"):
+        load("[USARSensor.Battery]\nmaxEnergy=0\n" + own)
+
+
 def test_one_reason_for_several_lines_is_one_warning(load):
     sections = (f"[USARSensor.{name}]\nHiddenSensor=true\n" for name in ("SICK", "Odometry", "Tachometer"))
     (warning,) = load("".join(sections)).warnings

@@ -47,6 +47,7 @@ from usarmjx.models.ini.parse import (
     Units,
     as_bool,
     as_class,
+    as_number,
     fail,
     read_ini,
 )
@@ -90,9 +91,6 @@ LATER_IGNORED = {
     "numberofcones": "a sonar's rays fill its cone",
     "tracespercone": "a sonar's rays fill its cone",
     "mass": "weights of items are for the payload only; Weight is the manual's key",
-    "maxenergy": "STA counts seconds: BatteryLife of the robot's section",
-    "currentenergy": "STA counts seconds: BatteryLife of the robot's section",
-    "batterylife": "it is a key of the robot's section",
     "scanrate": "a point cloud scanner measures a row for each message: ScanInterval",
     "drifting": "INS drifts as Sigma and Mean say",
     "squaresize": "pictures show a laser's points as balls",
@@ -100,6 +98,8 @@ LATER_IGNORED = {
     "ispointonlinevariance": "pictures show a laser's points as balls",
 }
 """Keys of items of the later versions without effect, with the reason."""
+BATTERY, BATTERY_FIGURES = "battery", {"maxenergy": 1e6, "currentenergy": 1e6, "batterylife": 1200.0}
+"""The later versions' class of batteries in lower case, and its figures in DefaultUSAR.ini [J, J, s]."""
 LATER_KEYS = {("sonarsensor", "maxangleofincidence"): "MaxIncidence", ("linelaser", "resolution"): "Beams"}
 """Keys of items of the later versions with another name, by class and key in lower case."""
 FOREIGN = {
@@ -142,6 +142,7 @@ class _Translation:
         self._robots = {name.lower() for name in robots}
         self._left_out: dict[str, tuple[Line, int]] = {}
         self._derived: dict[str, Line] = {}
+        self._battery = _battery_life(file)
 
     def file(self) -> IniFile:
         """Return the file in the manual's terms."""
@@ -166,6 +167,9 @@ class _Translation:
         ours = LATER_ROBOTS.get(name.lower(), name)
         lines = tuple(self._part(line, ours) for line in section.lines)
         lines = tuple(line for line in lines if line is not None)
+        has_own = any(line.key.lower() == "batterylife" for line in lines)
+        if self._battery is not None and not has_own and any(map(_is_battery, lines)):
+            lines = (*lines, self._battery)
         if ours != name and name.lower() not in self._robots and lines:
             self._notes.add(lines[0], f"{name} is the later versions' name of {ours}")
             return replace(section, name=f"USARBot.{ours}", lines=lines)
@@ -186,6 +190,8 @@ class _Translation:
         lines: list[Line] = []
         for line in section.lines:
             key = line.key.lower()
+            if name == BATTERY and key in BATTERY_FIGURES:
+                continue  # read by `_battery_life`
             if key in LATER_IGNORED:
                 self._notes.add(line, f"{line.key} is ignored: {LATER_IGNORED[key]}")
             else:
@@ -235,6 +241,26 @@ class _Translation:
     def _note_left_out(self, name: str, line: Line) -> None:
         first, count = self._left_out.get(name, (line, 0))
         self._left_out[name] = first, count + 1
+
+
+def _battery_life(file: IniFile) -> Line | None:
+    """Return the line of a robot's section that means the same as a file's batteries; None: it has none.
+
+    A battery loses its full energy in its life, so one that begins with less lasts less (Battery.uc).
+    """
+    lines = {line.key.lower(): line for line in file.section(f"{ITEM_PACKAGES[0]}{BATTERY}").lines}
+    lines = {key: line for key, line in lines.items() if key in BATTERY_FIGURES}
+    if not lines:
+        return None
+    figures = {key: as_number(line, line.value, line.key, above=0.0) for key, line in lines.items()}
+    full, present, life = (BATTERY_FIGURES | figures).values()
+    *_, last = lines.values()
+    return replace(last, key="batteryLife", value=life * min(present / full, 1.0), adds=False, index=None)
+
+
+def _is_battery(line: Line) -> bool:
+    """Return whether a line, in our terms, mounts a battery."""
+    return isinstance(line.value, Struct) and line.value.get("ItemClass") == LATER_ITEMS[BATTERY]
 
 
 def _wheel_of(robot: str, name: str) -> str | None:
