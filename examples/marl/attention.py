@@ -57,6 +57,8 @@ class Layout:
         if (start := getattr(env, "mates_at", None)) is not None:
             agents = len(env.groups[0].agents)
             return cls(start, 2, 0, tuple(range(agents)), agents)
+        if env.groups[0].layout is not None:
+            raise SystemExit(f"--task: {env.name} has observations that attention.py does not read")
         scene, task = env.scene, env.task
         slots = np.concatenate([scene.groups[group].slots for group in task.agent_groups(scene)])
         # Advice 5, progress 1, sectors 12, time left and index; then x, y, age and link of each other robot.
@@ -159,7 +161,7 @@ def policy_of(env: Any, flags: AttentionFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`, for a team of any size: the most probable actions."""
     team = shared.Team(env)
     net = network(team, flags)
-    return shared.feed_forward_policy(team, lambda seen: net.apply(params, seen)[0])
+    return shared.feed_forward_policy(team, lambda seen: team.best(seen, net.apply(params, seen)[0]))
 
 
 def load(env: Any, folder: str) -> Any:

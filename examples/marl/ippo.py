@@ -71,7 +71,7 @@ def collect(
         key, own = jax.random.split(key)
         obs = team.merge(state.obs)
         mean, log_std, value = net.apply(learner.params, obs)
-        action = mean + jnp.exp(log_std) * jax.random.normal(own, mean.shape)
+        action = team.draw(own, obs, mean, log_std)
         after = team.env.step(state, team.split(action))
         # An episode that the time limit cuts off would have gone on: its last state has a value.
         cut = net.apply(learner.params, team.merge(after.final_obs))[-1]
@@ -80,7 +80,7 @@ def collect(
         row = shared.Batch(
             obs=obs,
             action=action,
-            log_prob=shared.log_probability(mean, log_std, action),
+            log_prob=team.log_probability(obs, mean, log_std, action),
             value=value,
             reward=reward,
             done=done,
@@ -93,15 +93,19 @@ def collect(
 
 
 def loss(
-    params: Any, net: Any, flags: shared.PpoFlags, rows: tuple[shared.Batch, jax.Array, jax.Array]
+    params: Any,
+    team: shared.Team,
+    net: Any,
+    flags: shared.PpoFlags,
+    rows: tuple[shared.Batch, jax.Array, jax.Array],
 ) -> jax.Array:
     """Return PPO's loss ()."""
     batch, advantage, target = rows
     mean, log_std, value = net.apply(params, batch.obs)
-    ratio = jnp.exp(shared.log_probability(mean, log_std, batch.action) - batch.log_prob)
+    ratio = jnp.exp(team.log_probability(batch.obs, mean, log_std, batch.action) - batch.log_prob)
     policy = shared.clipped_loss(ratio, shared.whitened(advantage), flags.clip_epsilon)
     critic = jnp.square(value - target).mean()
-    return policy + flags.value_coef * critic - flags.entropy_coef * log_std.sum(-1).mean()
+    return policy + flags.value_coef * critic - flags.entropy_coef * team.entropy(batch.obs, mean, log_std)
 
 
 def iterate(
@@ -123,7 +127,7 @@ def iterate(
     rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[row_axes:]), (batch, advantage, target))
 
     def minibatch_loss(params: Any, chosen: jax.Array) -> jax.Array:
-        return loss(params, net, flags, jax.tree.map(lambda one: one[chosen], rows))
+        return loss(params, team, net, flags, jax.tree.map(lambda one: one[chosen], rows))
 
     learner, total = shared.update_in_minibatches(
         learner,
@@ -150,7 +154,7 @@ def policy_of(env: Any, flags: IppoFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`: the most probable actions."""
     team = shared.Team(env)
     net = network(team, flags)
-    return shared.feed_forward_policy(team, lambda seen: net.apply(params, seen)[0])
+    return shared.feed_forward_policy(team, lambda seen: team.best(seen, net.apply(params, seen)[0]))
 
 
 def load(env: Any, folder: str) -> Any:

@@ -82,7 +82,7 @@ def collect(
         key, own = jax.random.split(key)
         obs = team.merge(state.obs)
         memory, (mean, log_std, value) = net.apply(learner.params, memory, (obs, first))
-        action = mean + jnp.exp(log_std) * jax.random.normal(own, mean.shape)
+        action = team.draw(own, obs, mean, log_std)
         after = team.env.step(state, team.split(action))
         # An episode that the time limit cuts off would have gone on: its last state has a value.
         final = team.merge(after.final_obs), jnp.zeros_like(first)
@@ -92,7 +92,7 @@ def collect(
         row = Batch(
             obs=obs,
             action=action,
-            log_prob=shared.log_probability(mean, log_std, action),
+            log_prob=team.log_probability(obs, mean, log_std, action),
             value=value,
             reward=reward,
             done=done,
@@ -120,10 +120,10 @@ def loss(params: Any, team: shared.Team, flags: RecurrentFlags, rows: Rows) -> j
         return net.apply(params, memory, now)
 
     _, (mean, log_std, value) = jax.lax.scan(step, memory, (batch.obs, batch.first))
-    ratio = jnp.exp(shared.log_probability(mean, log_std, batch.action) - batch.log_prob)
+    ratio = jnp.exp(team.log_probability(batch.obs, mean, log_std, batch.action) - batch.log_prob)
     policy = shared.clipped_loss(ratio, shared.whitened(advantage), flags.clip_epsilon)
     critic = jnp.square(value - target).mean()
-    return policy + flags.value_coef * critic - flags.entropy_coef * log_std.sum(-1).mean()
+    return policy + flags.value_coef * critic - flags.entropy_coef * team.entropy(batch.obs, mean, log_std)
 
 
 def iterate(
@@ -170,8 +170,9 @@ def policy_of(env: Any, flags: RecurrentFlags, params: Any) -> Any:
     def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
         del key
         first = jnp.zeros(carry.shape[:2], bool)
-        carry, (mean, *_) = net.apply(params, carry, (team.merge(obs), first))
-        return carry, team.split(jnp.clip(mean, -1.0, 1.0))
+        seen = team.merge(obs)
+        carry, (mean, *_) = net.apply(params, carry, (seen, first))
+        return carry, team.split(jnp.clip(team.best(seen, mean), -1.0, 1.0))
 
     return Policy(lambda worlds: jnp.zeros((worlds, team.agents, flags.hidden)), act)
 

@@ -145,7 +145,7 @@ def iterate(
     rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[3:]), (batch, advantage, target))
 
     def minibatch_loss(params: Any, chosen: jax.Array) -> jax.Array:
-        return ippo.loss(params, net, flags, jax.tree.map(lambda one: one[chosen], rows))
+        return ippo.loss(params, team, net, flags, jax.tree.map(lambda one: one[chosen], rows))
 
     league, total = shared.update_in_minibatches(
         league,

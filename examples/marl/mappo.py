@@ -101,7 +101,7 @@ def collect(
         key, own = jax.random.split(key)
         obs, truth = team.merge(state.obs), truth_of(team, state.obs, state.privileged)
         mean, log_std = actor.apply(learner.params["actor"], obs)
-        action = mean + jnp.exp(log_std) * jax.random.normal(own, mean.shape)
+        action = team.draw(own, obs, mean, log_std)
         after = team.env.step(state, team.split(action))
         # An episode that the time limit cuts off would have gone on: its last state has a value.
         final = truth_of(team, after.final_obs, after.final_privileged)
@@ -111,7 +111,7 @@ def collect(
             obs=obs,
             truth=truth,
             action=action,
-            log_prob=shared.log_probability(mean, log_std, action),
+            log_prob=team.log_probability(obs, mean, log_std, action),
             value=critic.apply(learner.params["critic"], truth),
             reward=reward,
             done=jnp.broadcast_to(after.done[:, None], reward.shape),
@@ -129,10 +129,10 @@ def loss(
     """Return PPO's loss ()."""
     (actor, critic), (batch, advantage, target) = networks(team, flags), rows
     mean, log_std = actor.apply(params["actor"], batch.obs)
-    ratio = jnp.exp(shared.log_probability(mean, log_std, batch.action) - batch.log_prob)
+    ratio = jnp.exp(team.log_probability(batch.obs, mean, log_std, batch.action) - batch.log_prob)
     policy = shared.clipped_loss(ratio, shared.whitened(advantage), flags.clip_epsilon)
     error = jnp.square(critic.apply(params["critic"], batch.truth) - target).mean()
-    return policy + flags.value_coef * error - flags.entropy_coef * log_std.sum(-1).mean()
+    return policy + flags.value_coef * error - flags.entropy_coef * team.entropy(batch.obs, mean, log_std)
 
 
 def iterate(
@@ -171,7 +171,11 @@ def policy_of(env: Any, flags: MappoFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`: the most probable actions."""
     team = shared.Team(env)
     actor, _ = networks(team, flags)
-    return shared.feed_forward_policy(team, lambda seen: actor.apply(params["actor"], seen)[0])
+
+    def act(seen: jax.Array) -> jax.Array:
+        return team.best(seen, actor.apply(params["actor"], seen)[0])
+
+    return shared.feed_forward_policy(team, act)
 
 
 def load(env: Any, folder: str) -> Any:

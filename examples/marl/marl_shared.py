@@ -87,6 +87,8 @@ class Team:
         agents: Number of agents in a world.
         obs_size: Numbers that an agent sees.
         action_size: Numbers in an action.
+        chooses: Whether an action is one of as many choices, as of goals; the last numbers of an observation
+            say which are there.
     """
 
     def __init__(self, env: Any) -> None:
@@ -95,6 +97,9 @@ class Team:
         self.widest = max(group.obs_size for group in self.groups)
         self.obs_size = self.widest + (len(self.groups) if len(self.groups) > 1 else 0)
         self.action_size = max(group.action_size for group in self.groups)
+        self.chooses = any(group.discrete for group in self.groups)
+        if self.chooses and len(self.groups) > 1:
+            raise SystemExit("--task: agents that choose goals are of one class here")
 
     def merge(self, obs: tuple[jax.Array, ...]) -> jax.Array:
         """Return observations of all agents (worlds, agents, obs_size)."""
@@ -112,6 +117,37 @@ class Team:
         ends = np.cumsum([len(group.agents) for group in self.groups])[:-1].tolist()
         parts = jnp.split(actions, ends, 1)
         return tuple(one[..., : group.action_size] for one, group in zip(parts, self.groups, strict=True))
+
+    def allowed(self, obs: jax.Array, values: jax.Array) -> jax.Array:
+        """Return values of choices (..., action_size), far below all where the choice is not there."""
+        return jnp.where(obs[..., -self.action_size :] > 0.5, values, -1e9) if self.chooses else values
+
+    def best(self, obs: jax.Array, mean: jax.Array) -> jax.Array:
+        """Return the most probable actions (..., action_size) of a network's means; of choices its logits."""
+        if not self.chooses:
+            return mean
+        return jax.nn.one_hot(self.allowed(obs, mean).argmax(-1), self.action_size)
+
+    def draw(self, key: jax.Array, obs: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
+        """Return random actions (..., action_size)."""
+        if not self.chooses:
+            return mean + jnp.exp(log_std) * jax.random.normal(key, mean.shape)
+        return self.best(obs, mean + jax.random.gumbel(key, mean.shape))
+
+    def log_probability(
+        self, obs: jax.Array, mean: jax.Array, log_std: jax.Array, action: jax.Array
+    ) -> jax.Array:
+        """Return the log density of actions, or log probability of choices (...)."""
+        if not self.chooses:
+            return log_probability(mean, log_std, action)
+        return (jax.nn.log_softmax(self.allowed(obs, mean)) * action).sum(-1)
+
+    def entropy(self, obs: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
+        """Return the mean entropy (), of normal distributions less a constant."""
+        if not self.chooses:
+            return log_std.sum(-1).mean()
+        log_prob = jax.nn.log_softmax(self.allowed(obs, mean))
+        return -(jnp.exp(log_prob) * log_prob).sum(-1).mean()
 
     def reward(self, state: Any) -> jax.Array:
         """Return the rewards of the last step (worlds, agents)."""

@@ -1,7 +1,8 @@
 """PQN with value decomposition: Q-learning without replay, the team's value is the sum of its agents'.
 
-Actions are discrete: `--levels` values for each number of an action, in all combinations. All agents share a
-network with layer normalisation. Targets are lambda-returns of the team's value.
+Actions are discrete: goals, in tasks whose agents choose one; else `--levels` values for each number of an
+action, in all combinations. All agents share a network with layer normalisation.
+Targets are lambda-returns of the team's value.
 
     python examples/marl/pqn_vdn.py --task explore-v2 --total-steps 20000000 --seed 0 --out runs/pqn-vdn-0
     usarmjx eval examples/marl/pqn_vdn.py:load@runs/pqn-vdn-0 --task explore-v2
@@ -71,6 +72,8 @@ class Learner(shared.Learner, kw_only=True):
 
 def action_table(team: shared.Team, flags: PqnFlags) -> np.ndarray:
     """Return the actions (actions, action_size)."""
+    if team.chooses:
+        return np.eye(team.action_size, dtype=np.float32)
     return np.array(
         [*itertools.product(np.linspace(-1, 1, flags.levels), repeat=team.action_size)], np.float32
     )
@@ -91,6 +94,12 @@ def iterations(team: shared.Team, flags: PqnFlags) -> int:
     return -(-flags.total_steps // (flags.rollout_length * flags.num_worlds * team.agents))
 
 
+def best_of(team: shared.Team, net: Any, params: Any, obs: tuple[jax.Array, ...]) -> jax.Array:
+    """Return the team's best value (worlds,)."""
+    seen = team.merge(obs)
+    return team.allowed(seen, net.apply(params, seen)).max(-1).sum(-1)
+
+
 def collect(
     team: shared.Team, flags: PqnFlags, learner: Learner
 ) -> tuple[Learner, Batch, jax.Array, dict[str, jax.Array]]:
@@ -103,19 +112,19 @@ def collect(
         state, key = carry
         key, one, other = jax.random.split(key, 3)
         obs = team.merge(state.obs)
-        value = net.apply(learner.params, obs)
-        drawn = jax.random.randint(one, value.shape[:-1], 0, len(table))
+        value = team.allowed(obs, net.apply(learner.params, obs))
+        drawn = jax.random.categorical(one, team.allowed(obs, jnp.zeros_like(value)))
         explores = jax.random.uniform(other, drawn.shape) < epsilon
         action = jnp.where(explores, drawn, value.argmax(-1))
         after = team.env.step(state, team.split(table[action]))
         # An episode that the time limit cuts off would have gone on: its last state has a value.
-        cut = net.apply(learner.params, team.merge(after.final_obs)).max(-1).sum(-1)
+        cut = best_of(team, net, learner.params, after.final_obs)
         reward = flags.reward_scale * team.reward(after).sum(-1) + flags.gamma * cut * after.truncated
         row = Batch(obs=obs, action=action, reward=reward, done=after.done, best=value.max(-1).sum(-1))
         return (after, key), (row, shared.episode_sums(after))
 
     (state, key), (batch, sums) = jax.lax.scan(step, (learner.state, learner.key), None, flags.rollout_length)
-    last = net.apply(learner.params, team.merge(state.obs)).max(-1).sum(-1)
+    last = best_of(team, net, learner.params, state.obs)
     return learner.replace(state=state, key=key), batch, last, jax.tree.map(jnp.sum, sums)
 
 
@@ -178,7 +187,11 @@ def policy_of(env: Any, flags: PqnFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`: the best actions."""
     team = shared.Team(env)
     net, table = network(team, flags), jnp.asarray(action_table(team, flags))
-    return shared.feed_forward_policy(team, lambda seen: table[net.apply(params, seen).argmax(-1)])
+
+    def act(seen: jax.Array) -> jax.Array:
+        return table[team.allowed(seen, net.apply(params, seen)).argmax(-1)]
+
+    return shared.feed_forward_policy(team, act)
 
 
 def load(env: Any, folder: str) -> Any:

@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import usarmjx
 from tests.scripts import EXAMPLES, load
+from tests.train.choice_toys import CHOICES, ChoiceToy
 from usarmjx.base.errors import UsageError
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.metrics import read_lines
@@ -18,15 +20,29 @@ from usarmjx.train.policies.sources import load_policy, own_policy
 
 FOLDER = EXAMPLES / "marl"
 SHARED, GAMES = load("marl/marl_shared"), load("marl/marl_games")
+
+
+class ChoiceGame(ChoiceToy):
+    """`ChoiceToy` with two agents."""
+
+    agents = 2
+
+
 load("marl/ippo")  # which attention.py imports
 WORLDS, LENGTH = 64, 8
+ALL = {**GAMES.GAMES, "choices": ChoiceGame}
+
+
+def flags_of(module):
+    """Class of the flags of an algorithm."""
+    kinds = (one for one in vars(module).values() if isinstance(one, type))
+    return next(one for one in kinds if one.__name__.endswith("Flags"))
 
 
 def learn(name, game, iterations=14, **more):
     """Train on a game; return the module, the flags, the last weights and the lines."""
-    module, env = load(f"marl/{name}"), GAMES.GAMES[game](WORLDS)
-    kinds = (one for one in vars(module).values() if isinstance(one, type))
-    kind = next(one for one in kinds if one.__name__.endswith("Flags"))
+    module, env = load(f"marl/{name}"), ALL[game](WORLDS)
+    kind = flags_of(module)
     steps = WORLDS * LENGTH * env.agents * iterations
     usual = {"num_worlds": WORLDS, "rollout_length": LENGTH, "hidden": 16, "learning_rate": 1e-2}
     flags = kind(**{**usual, "task": game, "total_steps": steps, **more})
@@ -67,6 +83,35 @@ def test_an_algorithm_reaches_the_best_score_of_a_game(name, game, best, more):
     env = GAMES.GAMES[game](WORLDS)
     assert lines[0]["score"] < 0.6
     assert 0.9 * best < score(module, flags, params, env) <= best + 1e-6
+
+
+@pytest.mark.parametrize("name", ["ippo", "mappo", "ippo_rnn", "pqn_vdn"])
+def test_agents_learn_to_choose_among_what_is_there(name):
+    """Of five numbers the largest that is there; random choices of those there are right in 0.28."""
+    module, flags, params, lines = learn(name, "choices", iterations=40, gamma=0.5, learning_rate=2e-2)
+    env = ChoiceGame(WORLDS)
+    assert lines[0]["score"] < 0.5
+    assert score(module, flags, params, env) > 0.85
+    state = env.reset(3)
+    policy = module.policy_of(env, flags, params)
+    _, (action,) = policy.act(policy.initial_carry(WORLDS), state.obs, jax.random.key(0))
+    assert (action.sum(-1) == 1.0).all()
+    assert (action * state.obs[0][..., -CHOICES:] == action).all()
+
+
+def test_probabilities_of_choices_are_those_of_a_softmax_over_what_is_there():
+    team = SHARED.Team(ChoiceGame(1))
+    obs = jnp.zeros((1, 2, team.obs_size)).at[..., -CHOICES:].set(jnp.array([1.0, 1, 0, 0, 1]))
+    logits = jnp.log(jnp.array([1.0, 2.0, 9.0, 9.0, 5.0])) * jnp.ones((1, 2, 1))
+    chosen = jax.nn.one_hot(jnp.array([[1, 4]]), CHOICES)
+    found = team.log_probability(obs, logits, logits, chosen)
+    np.testing.assert_allclose(jnp.exp(found), [[2 / 8, 5 / 8]], rtol=1e-5)
+    share = np.array([1.0, 2.0, 5.0]) / 8
+    entropy = -(share * np.log(share)).sum()
+    np.testing.assert_allclose(team.entropy(obs, logits, logits), entropy, rtol=1e-5)
+    keys = jax.random.split(jax.random.key(0), 5000)
+    drawn = jax.vmap(lambda key: team.draw(key, obs, logits, logits))(keys)
+    np.testing.assert_allclose(drawn.mean((0, 1, 2)), [1 / 8, 2 / 8, 0, 0, 5 / 8], atol=0.02)  # 4 sigma
 
 
 def test_a_league_gets_better_than_its_past_selves():
@@ -177,3 +222,43 @@ def test_a_function_needs_a_task_and_a_function(tmp_path):
         source.for_task("explore-v2").policy(None)
     with pytest.raises(UsageError, match=r"mine.py has no function 'no'"):
         load_policy(f"{file}:no")
+
+
+# ---- On a task
+
+
+@pytest.fixture(scope="module")
+def tasks():
+    """Teams of two in `explore-v3`, whose robots choose goals or turn their wheels."""
+    small = {"worlds": 2, "engine": "planar", "count": 2, "physics": "coarse"}
+    return {kind: usarmjx.make("explore-v3", actions=kind, **small) for kind in ("goals", "wheels")}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("ippo", "goals"),
+        ("mappo", "goals"),
+        ("ippo_rnn", "goals"),
+        ("pqn_vdn", "goals"),
+        ("fast_td3", "goals"),
+        ("pqn_vdn", "wheels"),
+        ("fast_td3", "wheels"),
+    ],
+)
+def test_an_iteration_on_a_task_is_traced(name, kind, tasks, monkeypatch):
+    """All shapes and types, from the start of the worlds to the next weights; compiling takes minutes."""
+    module, env = load(f"marl/{name}"), tasks[kind]
+    monkeypatch.setattr(SHARED, "run", lambda flags, word, start, iterate, agents: (start, iterate(start)))
+    flags = {"num_worlds": 2, "rollout_length": 4, "total_steps": 16, "hidden": 8, "task": env.name}
+    sizes = {"buffer_steps": 8, "batch_size": 4} if name == "fast_td3" else {"num_minibatches": 1}
+    kinds = flags_of(module)(**flags, **sizes)
+    start, (after, sums) = jax.eval_shape(lambda: module.train(kinds, env))
+    shapes = [jax.tree.map(lambda one: (one.shape, one.dtype), tree) for tree in (start, after)]
+    assert shapes[0] == shapes[1]
+    assert sums["episodes"].shape == sums["score"].shape == ()
+
+
+def test_attention_refuses_observations_that_it_does_not_read(tasks):
+    with pytest.raises(SystemExit, match="explore-v3 has observations that attention"):
+        load("marl/attention").Layout.of(tasks["goals"])
