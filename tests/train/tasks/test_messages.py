@@ -327,6 +327,19 @@ def test_bytes_of_whole_maps_are_counted_too():
     np.testing.assert_allclose(last.metrics["bytes"], rate / 2, rtol=1e-5)  # of two robots
 
 
+def test_pictures_show_news_that_the_base_lacks():
+    """After a report robot 1 turns around, and its link ends: the base has nothing of what it sees then."""
+    task, links = replace(TASK, observed="map"), linked((0, 1))
+    links[6:] = False
+    path = np.tile([(x, y, 0.0) for x, y in STARTS], (9, 1, 1))
+    path[5:, 1, 2] = np.pi
+    chosen = actions_of(task, option(BASE, MAP), 0)
+    *_, (_, memory, _) = play(task, path, links, choose=lambda view, memory: chosen)
+    at_base, seen = (np.asarray(memory.belief.squares[slot]) == FREE for slot in (0, 1))
+    np.testing.assert_array_equal(memory.extra.sent[1], at_base)
+    assert (seen & ~at_base).any()
+
+
 def test_a_pose_says_nothing_of_plans():
     """The receiver keeps the plan that it had: where the sender stood at the start."""
     steps = mission(TASK, linked((0, 1), (1, 2)), (option(NEAR, POSE), 0))

@@ -20,7 +20,7 @@ from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
 from usarmjx.train.envs.presence import Presence, drawn_team, remaining_robots
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.belief import HEADER_SIZE, SECTOR_COUNT, Belief, headers, update_base_contact
-from usarmjx.train.mapping.maps import FREE, MARK, WALL, MapGrid, to_robot_frame
+from usarmjx.train.mapping.maps import FREE, MARK, WALL, MapGrid, to_robot_frame, unpack
 from usarmjx.train.mapping.planning import (
     WAY_SQUARES,
     Goals,
@@ -91,8 +91,8 @@ class GoalState(struct.PyTreeNode, kw_only=True):
         chosen: Which of them it chose (robots,).
         way: Next positions on the way there [m] (robots, WAY_SQUARES, 2).
         looked: Squares that each robot has looked at, if the task wants that (robots, i, j); else empty.
-        sent: Squares of news on each robot's map when the base last had all of it, if pictures show them
-            (robots, i, j); else empty.
+        sent: Squares of news on each robot's map when the base last had all of it, if pictures show them; of
+            parts of maps, those that it believes the base to have (robots, i, j); else empty.
         picture: Pictures of the robots' maps as of the last choice (robots, LEVELS, WIDTH, WIDTH, channels);
             else empty.
         messaging: Memory of messages, if parts of maps are sent; else empty.
@@ -572,6 +572,9 @@ class GoalTeam(TeamTask):
     def _sent(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return the squares of news on each robot's map when the base last had all of it (robots, i, j)."""
         belief, before = memory.belief, memory.extra.sent
+        if self.parts:
+            there = self.message_state(memory).known[:, station_slot(view.scene)]
+            return jax.vmap(partial(unpack, shape=belief.squares.shape[1:]))(there) == self.news_kind
         news = belief.squares == self.news_kind
         return jnp.where(
             # Kept until all of it has come: a part may be lost on the way.
