@@ -275,6 +275,8 @@ def test_steps_run_beside_the_next_one_and_their_output_comes_after_it(
     shown = capfd.readouterr()
     assert shown.out.splitlines() == [f"{name} begins" for name in ("longer", "first", "bad", "last")]
     assert shown.err.endswith("failed: bad\n")
+    assert environment.run_steps(checkout.environment, steps[2:3] + steps[1:2]) == 7
+    assert capfd.readouterr().out.splitlines() == ["longer begins", "bad begins"], "at the end, too"
 
 
 @pytest.mark.parametrize(("given", "seen"), [(None, "8"), ("3", "3")])

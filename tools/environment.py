@@ -237,6 +237,8 @@ def run_steps(environment: Environment, steps: Sequence[Sequence[str]]) -> int:
             beside = []
         else:
             run.step(step)
+    for step in beside:  # no other step has come after them
+        run.step(step)
     run.say(f"all steps: {clock(time.monotonic() - started)}")
     if not run.failed:
         return 0
