@@ -15,7 +15,7 @@ import warp
 
 from tests.engines.test_block import MECHANISM
 from usarmjx.base.warp_functions import without_collection
-from usarmjx.base.warp_modules import load_side_by_side, modules_of, wait_for_modules
+from usarmjx.base.warp_modules import WarpModule, load_side_by_side, modules_of, wait_for_modules
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import LaunchReplay, WarpEngine
 from usarmjx.models.compile.physics import Physics
@@ -95,6 +95,27 @@ def test_a_module_that_fails_is_left_to_its_first_launch():
     load_side_by_side([good._replace(module=Bad()), good], warp.get_device("cpu"))
     wait_for_modules()
     assert (None, 1) in good.module.execs
+
+
+def test_all_threads_wait_for_a_module_that_is_being_loaded():
+    class Slow:
+        execs = ()
+        loaded = Event()
+
+        def load(self, device, block_dim):
+            assert self.loaded.wait(60)
+
+    load_side_by_side([WarpModule(Slow(), 1)], warp.get_device("cpu"))
+    threads = [Thread(target=wait_for_modules) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(0.2)
+        assert thread.is_alive()
+    Slow.loaded.set()
+    for thread in threads:
+        thread.join(60)
+        assert not thread.is_alive()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ another: of MuJoCo Warp's modules two take 39 s and 23 s, and all of them togeth
 import logging
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from threading import Lock, get_ident
 from typing import Any, NamedTuple
@@ -128,9 +128,7 @@ def wait_for_modules() -> None:
 
     A module that cannot be compiled raises its error at its first launch, where Warp expects it.
     """
-    if not _LOADING:
-        return
-    with _LOCK:
-        loading, _LOADING[:] = _LOADING[:], []
-    for one in loading:
+    for one in tuple(_LOADING):
         one.exception()
+        with _LOCK, suppress(ValueError):  # another thread waits, too
+            _LOADING.remove(one)
