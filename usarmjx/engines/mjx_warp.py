@@ -319,6 +319,7 @@ def multi_step(
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
     """
+    check_mjx_version()
     one_step = _one_step(block, broad_phase, gravcomp, smooth_dynamics)
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
     replay = LaunchReplay(one_step)
