@@ -29,6 +29,9 @@ from usarmjx.models.arenas import ARENAS
 pytest.importorskip("warp", reason="needs warp-lang")
 from usarmjx.comms.warp_walls import count_on_warp, pack_solids
 
+counted, counted_on_jax = jax.jit(count_on_warp), jax.jit(count_on_jax)
+"""Counts by one program: each operation of theirs would be another."""
+
 
 def single(*points):
     return tuple(jnp.asarray(np.atleast_2d(p), jnp.float32) for p in points)
@@ -46,8 +49,8 @@ TABLES = [
 def test_where_a_segment_only_just_meets_a_solid(solid, cases):
     start, end, expected = (np.array(column, float) for column in zip(*cases, strict=True))
     geoms = solids(solid).geoms()
-    np.testing.assert_array_equal(count_on_warp(geoms, *single(start, end)), expected)
-    np.testing.assert_array_equal(count_on_warp(geoms, *single(end, start)), expected)
+    np.testing.assert_array_equal(counted(geoms, *single(start, end)), expected)
+    np.testing.assert_array_equal(counted(geoms, *single(end, start)), expected)
 
 
 @pytest.mark.oracle
@@ -60,14 +63,14 @@ def test_counts_equal_the_slab_methods(upright):
     clear = least == greatest
     assert clear.mean() > 0.95
     assert greatest.max() > 8
-    found = np.asarray(count_on_warp(boxes.geoms(), *single(start, end)))
+    found = np.asarray(counted(boxes.geoms(), *single(start, end)))
     np.testing.assert_array_equal(found[clear], greatest[clear])
 
 
 def agrees(geoms, start, end, few=2e-3):
     """Counts are those of JAX, but for a few segments that only just meet something; they are no constant."""
-    here, there = (np.asarray(count(geoms, *single(start, end))) for count in (count_on_warp, count_on_jax))
-    back = np.asarray(count_on_warp(geoms, *single(end, start)))
+    here, there = (np.asarray(count(geoms, *single(start, end))) for count in (counted, counted_on_jax))
+    back = np.asarray(counted(geoms, *single(end, start)))
     np.testing.assert_array_equal(back, here)
     assert (here != there).mean() <= few
     assert len(set(there)) > 2
@@ -106,7 +109,7 @@ def test_no_list_lacks_a_box_that_is_crossed(distance):
     clear = least == greatest
     assert clear.mean() > 0.6
     assert greatest.max() > 12
-    found = np.asarray(count_on_warp(boxes.geoms(), *single(start, end)))
+    found = np.asarray(counted(boxes.geoms(), *single(start, end)))
     np.testing.assert_array_equal(found[clear], greatest[clear])
 
 
@@ -118,7 +121,7 @@ def test_upright_segments_cross_what_is_above_each_other():
     end[:, 2] = start[:, 2] + 3
     least, greatest = (slab_count(boxes, start, end, grow) for grow in (-NEAR, NEAR))
     clear = least == greatest
-    found = np.asarray(count_on_warp(boxes.geoms(), *single(start, end)))
+    found = np.asarray(counted(boxes.geoms(), *single(start, end)))
     np.testing.assert_array_equal(found[clear], greatest[clear])
     assert greatest.max() > 2
 
@@ -160,7 +163,7 @@ def test_all_worlds_are_one_launch(shared):
     assert count.lower(geoms, start, end).as_text().count("stablehlo.custom_call @") == 1
     found = count(geoms, start, end)
     for w in range(3):
-        alone = count_on_jax(many[0 if shared else w], start[w], end[w])
+        alone = counted_on_jax(many[0 if shared else w], start[w], end[w])
         np.testing.assert_array_equal(found[w], alone)
 
 

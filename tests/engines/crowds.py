@@ -24,45 +24,50 @@ def crowd(worlds: int, robots: int, seed: int = 0) -> dict[str, Any]:
     """
     rng = np.random.default_rng(seed)
 
-    def draw(*shape: int) -> jax.Array:
-        return jnp.asarray(rng.random(shape), jnp.float32)
+    # By NumPy: JAX would compile a program for each operation and size.
+    def draw(*shape: int) -> np.ndarray:
+        return rng.random(shape).astype(np.float32)
+
+    def single(chosen: np.ndarray, x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
+        return np.where(chosen, x, y).astype(np.float32)
 
     pos = draw(worlds, robots, 2) * (1.2 * robots**0.5 + 0.5)
-    pos = pos.at[0].set(100.0 * jnp.arange(2 * robots).reshape(robots, 2))
-    low = jnp.where(draw(worlds, robots) < 0.2, 0.6, 0.0)
+    pos[0] = 100.0 * np.arange(2 * robots).reshape(robots, 2)
+    low = single(draw(worlds, robots) < 0.2, 0.6, 0.0)
     before = Footprints(
         pos=pos,
-        yaw=2 * jnp.pi * draw(worlds, robots),
+        yaw=2 * np.pi * draw(worlds, robots),
         half=0.2 + 0.2 * draw(worlds, robots, 2),
         low=low,
         high=low + 0.5,
-        step=jnp.zeros((worlds, robots)),
+        step=np.zeros((worlds, robots), np.float32),
         mass=1.0 + 9.0 * draw(worlds, robots),
     )
     after = before.replace(
         pos=pos + 0.1 * (draw(worlds, robots, 2) - 0.5), yaw=before.yaw + 0.2 * (draw(worlds, robots) - 0.5)
     )
     shape = (SOLIDS, robots, worlds)
-    disc, turn = draw(*shape) < 1 / 3, 2 * jnp.pi * draw(*shape)
+    disc, turn = draw(*shape) < 1 / 3, 2 * np.pi * draw(*shape)
     x, y = (pos[..., axis].T + 2 * (draw(*shape) - 0.5) for axis in range(2))
-    nowhere = (draw(*shape) < 0.5) | (jnp.arange(worlds) == 0)
+    nowhere = (draw(*shape) < 0.5) | (np.arange(worlds) == 0)
     solids = Outlines(
-        x=jnp.where(nowhere, FAR_AWAY, x),
+        x=single(nowhere, FAR_AWAY, x),
         y=y,
-        cos=jnp.cos(turn),
-        sin=jnp.sin(turn),
-        length=jnp.where(disc, 0.0, 0.1 + 0.4 * draw(*shape)),
-        width=jnp.where(disc, 0.0, 0.05 + 0.1 * draw(*shape)),
-        radius=jnp.where(disc, 0.1 + 0.2 * draw(*shape), 0.0),
+        cos=np.cos(turn),
+        sin=np.sin(turn),
+        length=single(disc, 0.0, 0.1 + 0.4 * draw(*shape)),
+        width=single(disc, 0.0, 0.05 + 0.1 * draw(*shape)),
+        radius=single(disc, 0.1 + 0.2 * draw(*shape), 0.0),
     )
     over = draw(worlds, robots, robots) < 0.1
-    return {
+    case = {
         "before": before,
         "after": after,
         "near": solids,
         "moves": draw(worlds, robots) < 0.9,
         "stacked": over | over.swapaxes(1, 2),
     }
+    return {name: jax.tree.map(jnp.asarray, part) for name, part in case.items()}
 
 
 def flat(case: dict[str, Any]) -> dict[str, Any]:

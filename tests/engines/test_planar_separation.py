@@ -63,13 +63,14 @@ def test_so_is_one_among_boxes_only_and_one_in_which_nobody_flies(stacked):
 
 def test_a_world_is_the_same_alone_as_among_others():
     case = crowd(6, 5, seed=3)
-    whole, _ = on_warp(*case.values())
+    apart = jax.jit(on_warp)
+    whole, _ = apart(*case.values())
     pick = {
         name: jax.tree.map(lambda part: part[2:3], case[name])
         for name in ("before", "after", "moves", "stacked")
     }
     pick["near"] = jax.tree.map(lambda part: part[..., 2:3], case["near"])
-    alone, _ = on_warp(*(pick[name] for name in case))
+    alone, _ = apart(*(pick[name] for name in case))
     np.testing.assert_array_equal(alone.pos[0], whole.pos[2])
     np.testing.assert_array_equal(alone.yaw[0], whole.yaw[2])
 
@@ -118,7 +119,7 @@ def test_the_threads_of_a_block_do_together_what_one_does():
     robots, worlds = 150, 2
     proposed, neighbors = as_the_engine_has_it(crowd(worlds, robots, seed=robots))
     solids, over = np.asarray(neighbors.packed_obstacles), np.asarray(proposed.stacked, np.int32)
-    found, felt = separate_on_warp(proposed, neighbors)
+    found, felt = jax.jit(separate_on_warp)(proposed, neighbors)
     known = np.asarray(pack_motion(proposed)), solids.ravel(), over.ravel(), worlds, solids.shape[2], 1
     args = [*known, np.zeros(worlds * robots * 4, np.float32)]
     code, kernel = warp_separation._code(robots), warp_separation.separation_kernel(robots)
