@@ -574,7 +574,7 @@ class GoalTeam(TeamTask):
         belief, before = memory.belief, memory.extra.sent
         if self.parts:
             there = self.message_state(memory).known[:, station_slot(view.scene)]
-            return jax.vmap(partial(unpack, shape=belief.squares.shape[1:]))(there) == self.news_kind
+            return jax.vmap(partial(unpack, shape=self.arena_grid(view.scene).shape))(there) == self.news_kind
         news = belief.squares == self.news_kind
         return jnp.where(
             # Kept until all of it has come: a part may be lost on the way.
