@@ -26,7 +26,8 @@ from usarmjx.sensors.suite import query_of, suite_of
 pytest.importorskip("warp", reason="needs warp-lang")
 import warp as wp
 
-from usarmjx.sensors import nearest_warp  # noqa: F401 - a module of kernels
+from usarmjx.sensors import nearest_warp
+from usarmjx.sensors.rays import first_of_fans_warp
 from usarmjx.sensors.rays.first_of_fans_warp import MOST_GEOMS
 from usarmjx.sensors.rays.warp_launches import finds_first_only
 
@@ -153,10 +154,14 @@ def test_sonars_read_on_warp_what_they_read_on_jax(monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
-@pytest.mark.parametrize("module", ["rays.first_of_fans_warp", "nearest_warp"])
-def test_kernels_compile_for_a_gpu(module, tmp_path):
+@pytest.mark.parametrize("which", ["first of fans", "nearest of few", "nearest of many"])
+def test_kernels_compile_for_a_gpu(which, tmp_path):
     """NVRTC comes with Warp and needs no GPU; what a CPU's thread keeps for itself is in no GPU's memory."""
-    made = wp.get_module(f"usarmjx.sensors.{module}")
+    made = {
+        "first of fans": lambda: wp.get_module(first_of_fans_warp.__name__),
+        "nearest of few": lambda: nearest_warp.selection_kernel(1).module,
+        "nearest of many": lambda: nearest_warp.selection_kernel(nearest_warp.MOST // 32).module,
+    }[which]()
     assert made.kernels
     wp.compile_aot_module(made, arch=75, module_dir=tmp_path, use_ptx=True)
     (text,) = (path.read_bytes().decode("latin-1") for path in tmp_path.glob("*.ptx"))
