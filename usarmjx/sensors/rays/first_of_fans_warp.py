@@ -20,6 +20,7 @@ from usarmjx.sensors.rays.raycast_warp import (
     WarpBest,
     WarpCone,
     WorldGeoms,
+    any_lane,
     box_key,
     geom_of,
     lanes,
@@ -270,11 +271,13 @@ def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
                 there = local(r0, r1, r2, cone.tip - wp.vec3(p[0], p[1], p[2]))
                 way = local(r0, r1, r2, along)
                 far = distance_of(int(r1[3]), there, way, size)
-                if far < best.distance:
+                closer = far < best.distance
+                if closer:
                     best.distance = far
                     best.geom = r2[3]
                     counts = _cosine(int(r1[3]), there, way, far, size) >= least
-                limit = _limit(best.distance, counts)
+                if any_lane(closer):
+                    limit = _limit(best.distance, counts)
             row += lanes()
         assured = wp.min(assured, limit)
         # A hit that hides the first one without counting itself lets geoms matter that were too far before.
