@@ -135,9 +135,10 @@ def test_watching_takes_down_the_first_world(monkeypatch):
     assert {name: [way[0, 0] for way in ways] for name, ways in seen.ways.items()} == {"a": [0, 1], "b": [2]}
 
 
-def test_messages_are_drawn_from_senders_to_receivers_by_kind(monkeypatch):
+@pytest.mark.parametrize("hold", [2, 8])
+def test_messages_are_drawn_from_senders_to_receivers_by_kind(hold, monkeypatch):
     """World 0: robot 1 sends its map to the base, robot 2 its plan to both; they are taken down once."""
-    task = ExploreBase(count=2, byte_rate=64.0)
+    task = ExploreBase(count=2, byte_rate=64.0, hold=hold)
     places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 3.0, 0.0]])
     state = no_messages(3, 5).replace(
         chosen=np.array([0, option(1, MAP), option(0, PLAN)]),
@@ -147,7 +148,7 @@ def test_messages_are_drawn_from_senders_to_receivers_by_kind(monkeypatch):
     env = SimpleNamespace(batch=SimpleNamespace(arena_of=lambda state, world: FLAT), period=0.2, task=task)
     seen = TeamWays()
     worlds = jax.tree.map(lambda x: np.asarray(x)[None], state)
-    for step in range(2 * task.hold):
+    for step in range(1, 2 * hold + 1):
         memory = Memory(step=np.array([step]), extra=Extra(messaging=worlds))
         seen("a", env, SimpleNamespace(batch=None, memory=memory))
     sent = [(one.kind, one.ends.tolist()) for one in seen.sent["a"]]
@@ -156,7 +157,7 @@ def test_messages_are_drawn_from_senders_to_receivers_by_kind(monkeypatch):
         ("plan", [[2, 3], [0, 0]]),
         ("plan", [[2, 3], [1, 0]]),
     ]
-    assert sent == each * 2  # of two messages in 16 steps
+    assert sent == each * 2  # of two messages in two times of `hold` steps
     axes = Figure().add_subplot()
     draw_messages(axes, seen.sent["a"][:3])
     lines = [line.get_xydata().tolist() for line in axes.lines if line.get_linestyle() == "-"]

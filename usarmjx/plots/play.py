@@ -352,7 +352,7 @@ class SentMessage(NamedTuple):
 
 def just_sent(task: GoalTeam, memory: TeamMemory, places: np.ndarray) -> Iterator[SentMessage]:
     """Yield the messages of a world's last step, between robots at places (robots, 3)."""
-    if int(memory.step) % task.hold != task.hold // 2 + 1:
+    if (int(memory.step) - 1) % task.hold != task.hold // 2:
         return
     state = task.message_state(memory)
     kinds = (np.asarray(state.chosen) - 1) % len(KINDS)
