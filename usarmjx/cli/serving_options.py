@@ -400,8 +400,8 @@ def bot_settings(
     from usarmjx.server.protocol.dialects import find_dialect
 
     spoken = find_dialect(dialect)
-    told = {"max_connections": spoken.max_connections, **read_bot_server(ini or ())}
-    read = BotServerSettings(host, init_timeout=init_timeout, access=rules, dialect=spoken, **told)
+    given = {"max_connections": spoken.max_connections, **read_bot_server(ini or ())}
+    read = BotServerSettings(host, init_timeout=init_timeout, access=rules, dialect=spoken, **given)
     return replace(
         read,
         port=read.port if port is None else port,

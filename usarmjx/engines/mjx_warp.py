@@ -425,8 +425,8 @@ class WarpEngine(MjxEngine):
             else:
                 self.solver = "Newton" if model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON else "CG"
                 level = logging.WARNING if self.physics.solver == "block" else logging.INFO
-                told = "solver 'block' does not cover %s: MuJoCo Warp's %s solves all"
-                LOGGER.log(level, told, self.uncovered, self.solver)
+                text = "solver 'block' does not cover %s: MuJoCo Warp's %s solves all"
+                LOGGER.log(level, text, self.uncovered, self.solver)
         self._compiled = model
         # Its kernels print a line per world and step when the solver uses all its iterations, which
         # halves the speed. `overflow` reports it instead.
