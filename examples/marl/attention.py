@@ -5,6 +5,8 @@ observes them, then over the messages of those that have a link to it. A message
 bytes each, sent to all that are linked, once an action. Networks know no number of robots: weights of a team
 of four drive teams of two or eight.
 
+In tasks whose agents choose goals the mates are the nearest ones, and no messages are sent.
+
 The mailbox is differentiable: in the update the loss of a listener's action goes back through the message
 into the speaker's weights (Foerster et al., "Learning to communicate with deep multi-agent reinforcement
 learning", 2016; Das et al., "TarMAC", 2019). `--message 0` trains without messages. Messages arrive within
@@ -40,14 +42,15 @@ class Layout:
     Attributes:
         start: First of their numbers.
         features: Numbers about each.
-        link: Which of these says whether there is a link.
+        link: Which of these says whether there is a link; None: mates are no rows of known robots, and the
+            first number says whether there is one.
         slots: Slot of each agent among all robots, the base too.
-        robots: All robots.
+        robots: All robots; where mates are of no known robots, one more than these.
     """
 
     start: int
     features: int
-    link: int
+    link: int | None
     slots: tuple[int, ...]
     robots: int
 
@@ -57,9 +60,12 @@ class Layout:
         if (start := getattr(env, "mates_at", None)) is not None:
             agents = len(env.groups[0].agents)
             return cls(start, 2, 0, tuple(range(agents)), agents)
-        if env.groups[0].layout is not None:
-            raise SystemExit(f"--task: {env.name} has observations that attention.py does not read")
+        if (known := env.groups[0].layout) is not None:
+            agents = len(env.groups[0].agents)
+            return cls(known.own, known.others[1], None, tuple(range(agents)), 1 + known.others[0])
         scene, task = env.scene, env.task
+        if hasattr(task, "actions"):  # version 3, with wheels
+            raise SystemExit(f"--task: attention.py does not read what robots of {env.name} observe")
         slots = np.concatenate([scene.groups[group].slots for group in task.agent_groups(scene)])
         # Advice 5, progress 1, sectors 12, time left and index; then x, y, age and link of each other robot.
         return cls(20, 4, 3, tuple(int(slot) for slot in slots), scene.num_robots)
@@ -81,7 +87,7 @@ class Layout:
         # Row of another robot among the others: those behind the agent's own slot are one place further on.
         places = np.array([[max(t - (t > s), 0) for t in self.slots] for s in self.slots])
         alone = np.eye(len(self.slots), dtype=bool)
-        if not others:
+        if not others or self.link is None:
             return own, mates, jnp.zeros((*obs.shape[:-1], len(self.slots)), bool)
         rows = np.arange(len(self.slots))[:, None]
         linked = mates[..., self.link][..., rows, np.minimum(places, others - 1)] > 0.5
@@ -122,7 +128,7 @@ class Talker(nn.Module):
         """Return means and log deviations (..., agents, action_size), and values (..., agents)."""
         own, mates, linked = self.layout.parts(obs)
         x = nn.tanh(nn.Dense(self.hidden, name="own")(own))
-        there = jnp.ones(mates.shape[:-1], bool)
+        there = mates[..., 0] > 0.5 if self.layout.link is None else jnp.ones(mates.shape[:-1], bool)
         x = jnp.concatenate([x, SetAttention(self.hidden, name="mates")(x, mates, there)], -1)
         x = nn.tanh(nn.Dense(self.hidden, name="mixed")(x))
         if self.message:
@@ -139,7 +145,10 @@ class Talker(nn.Module):
 
 def network(team: shared.Team, flags: AttentionFlags) -> Any:
     """Return the network of a team; flax leaves its types open."""
-    return Talker(flags.hidden, team.action_size, flags.message, Layout.of(team.env))
+    layout = Layout.of(team.env)
+    if flags.message and layout.link is None:
+        raise SystemExit(f"--message 0: agents of {team.env.name} do not observe whom they are linked to")
+    return Talker(flags.hidden, team.action_size, flags.message, layout)
 
 
 def initial_params(team: shared.Team, flags: AttentionFlags) -> Any:

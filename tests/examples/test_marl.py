@@ -85,10 +85,11 @@ def test_an_algorithm_reaches_the_best_score_of_a_game(name, game, best, more):
     assert 0.9 * best < score(module, flags, params, env) <= best + 1e-6
 
 
-@pytest.mark.parametrize("name", ["ippo", "mappo", "ippo_rnn", "pqn_vdn"])
+@pytest.mark.parametrize("name", ["ippo", "mappo", "ippo_rnn", "pqn_vdn", "attention"])
 def test_agents_learn_to_choose_among_what_is_there(name):
     """Of five numbers the largest that is there; random choices of those there are right in 0.28."""
-    module, flags, params, lines = learn(name, "choices", iterations=40, gamma=0.5, learning_rate=2e-2)
+    more = {"message": 0} if name == "attention" else {}
+    module, flags, params, lines = learn(name, "choices", 40, gamma=0.5, learning_rate=2e-2, **more)
     env = ChoiceGame(WORLDS)
     assert lines[0]["score"] < 0.5
     assert score(module, flags, params, env) > 0.85
@@ -241,6 +242,7 @@ def tasks():
         ("mappo", "goals"),
         ("ippo_rnn", "goals"),
         ("pqn_vdn", "goals"),
+        ("attention", "goals"),
         ("fast_td3", "goals"),
         ("pqn_vdn", "wheels"),
         ("fast_td3", "wheels"),
@@ -252,6 +254,7 @@ def test_an_iteration_on_a_task_is_traced(name, kind, tasks, monkeypatch):
     monkeypatch.setattr(SHARED, "run", lambda flags, word, start, iterate, agents: (start, iterate(start)))
     flags = {"num_worlds": 2, "rollout_length": 4, "total_steps": 16, "hidden": 8, "task": env.name}
     sizes = {"buffer_steps": 8, "batch_size": 4} if name == "fast_td3" else {"num_minibatches": 1}
+    sizes |= {"message": 0} if name == "attention" else {}
     kinds = flags_of(module)(**flags, **sizes)
     start, (after, sums) = jax.eval_shape(lambda: module.train(kinds, env))
     shapes = [jax.tree.map(lambda one: (one.shape, one.dtype), tree) for tree in (start, after)]
@@ -260,5 +263,23 @@ def test_an_iteration_on_a_task_is_traced(name, kind, tasks, monkeypatch):
 
 
 def test_attention_refuses_observations_that_it_does_not_read(tasks):
-    with pytest.raises(SystemExit, match="explore-v3 has observations that attention"):
-        load("marl/attention").Layout.of(tasks["goals"])
+    attention = load("marl/attention")
+    with pytest.raises(SystemExit, match="does not read what robots of explore-v3 observe"):
+        attention.Layout.of(tasks["wheels"])
+    with pytest.raises(SystemExit, match="--message 0: agents of explore-v3"):
+        attention.train(attention.AttentionFlags(message=8, num_worlds=2), tasks["goals"])
+
+
+def test_mates_that_are_not_there_are_not_attended_to():
+    """Robots of `choices` see two others: what the second one's numbers are matters only if it is there."""
+    module, env = load("marl/attention"), ALL["choices"](1)
+    team = SHARED.Team(env)
+    flags = module.AttentionFlags(message=0, hidden=8)
+    net, params = module.network(team, flags), module.initial_params(team, flags)
+    obs = jax.random.uniform(jax.random.key(0), (1, 2, team.obs_size))
+
+    def seen(there, number):
+        return net.apply(params, obs.at[..., 1:5].set(jnp.array([1.0, 0.3, there, number])))[0]
+
+    np.testing.assert_array_equal(seen(0.0, 5.0), seen(0.0, -5.0))
+    assert not np.array_equal(seen(1.0, 5.0), seen(1.0, -5.0))
