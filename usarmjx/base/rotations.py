@@ -34,7 +34,7 @@ def mat_from_quat(quat: Array) -> Array:
 
 
 def up_from_quat(quat: Array) -> Array:
-    """Return the z axis of frames (..., 3), the last column of `mat_from_quat`, in a third of its time."""
+    """Return the z axis of frames (..., 3): the last column of `mat_from_quat`, without the others."""
     w, x, y, z = parts(quat / xp.sqrt((quat * quat).sum(-1, keepdims=True)))
     return xp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1)
 

@@ -310,7 +310,7 @@ class SkidSteer(Drive):
         return self.lever > 0.0 and math.isfinite(self.max_turn)
 
     def turning(self, difference: Array) -> Array:
-        """Return how much faster the right wheels are to turn, of the ordered difference [rad/s] (...,)."""
+        """Return the difference of speeds, right less left, within `max_turn` of a commanded one [rad/s] (...,)."""
         if not self.limits_turning:
             return difference
         most = self.max_turn * self.lever / self.radius
