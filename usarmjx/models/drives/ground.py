@@ -310,7 +310,7 @@ class SkidSteer(Drive):
         return self.lever > 0.0 and math.isfinite(self.max_turn)
 
     def turning(self, difference: Array) -> Array:
-        """Return the difference of speeds, right less left, within `max_turn` of a commanded one [rad/s] (...,)."""
+        """Return the commanded difference of speeds, right less left, within `max_turn` [rad/s] (...,)."""
         if not self.limits_turning:
             return difference
         most = self.max_turn * self.lever / self.radius
