@@ -92,10 +92,9 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
         geoms: wp.array[wp.vec2i], position: wp.array[wp.vec3], frame: wp.array[wp.mat33],
         friction: Any, solref: wp.array[wp.vec2], solreffriction: wp.array[wp.vec2], solimp: Any,  # noqa: ANN401
         kind: wp.array[int], columns_out: wp.array3d[int], jacobian_out: wp.array3d[float],
-        jqvel_out: wp.array2d[float],
-        type_out: wp.array2d[int], id_out: wp.array2d[int], pos_out: wp.array2d[float],
-        margin_out: wp.array2d[float], weight_out: wp.array2d[float], vel_out: wp.array2d[float],
-        aref_out: wp.array2d[float], frictionloss_out: wp.array2d[float],
+        jqvel_out: wp.array2d[float], type_out: wp.array2d[int], id_out: wp.array2d[int],
+        pos_out: wp.array2d[float], margin_out: wp.array2d[float], weight_out: wp.array2d[float],
+        vel_out: wp.array2d[float], aref_out: wp.array2d[float], frictionloss_out: wp.array2d[float],
     ) -> None:
         con = wp.tid()
         if con >= count[0] or address[con, 0] < 0:  # the launch covers the whole buffer
@@ -105,8 +104,7 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
         first, second = dof_first[one] + dof_count[one] - 1, dof_first[other] + dof_count[other] - 1
         arm_one, arm_other = position[con] - com[world, root[one]], position[con] - com[world, root[other]]
         speeds, places = wp.vec3(0.0, 0.0, 0.0), wp.vec3i(-1, -1, -1)
-        # Read once: the compiler cannot know that the loop's writes leave these arrays as they are.
-        basis = _WARP.mat33(frame[con])
+        basis = _WARP.mat33(frame[con])  # once: a compiler cannot know that the loop's writes leave it alone
         for i in range(3):
             places[i] = place_of(address, starts, world, con, i, dim)
         for k in range(sizes[world, address[con, 0]]):
@@ -134,8 +132,7 @@ def rows_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
                         dist[con] - margin[con], margin[con], speeds[i],
                         solref[con], solreffriction[con], friction[con], solimp[con],
                         type_out, id_out, pos_out, margin_out, weight_out, vel_out, aref_out,
-                        frictionloss_out,
-                    )
+                        frictionloss_out)
     # fmt: on
     contact_rows.__annotations__ |= {"friction": (five := _WARP.array(dtype=vec5)), "solimp": five}
     return _WARP.kernel(contact_rows, enable_backward=False, grid_stride=False, module="unique")
