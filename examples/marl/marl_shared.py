@@ -357,7 +357,9 @@ def run(
     agents: int,
 ) -> Any:
     """Iterate to the end, write the run, and return its last state and its lines; weights are in `params`."""
-    recorder, state = Recorder(flags, algorithm), start
+    # Where some arrays of the start are bound to a device and others are not, as those of an engine and of a
+    # network, all of its results are bound, and the second iteration would be compiled anew.
+    recorder, state = Recorder(flags, algorithm), jax.device_put(start, jax.devices()[0])
     steps = flags.rollout_length * flags.num_worlds * agents
     for iteration in range(1, -(-flags.total_steps // steps) + 1):
         state, sums = iterate(state)

@@ -225,6 +225,19 @@ def test_a_function_needs_a_task_and_a_function(tmp_path):
         load_policy(f"{file}:no")
 
 
+def test_an_iteration_is_compiled_once():
+    """Arrays of an engine are bound to a device, those of a network are not; results of both are bound."""
+    bound, free = jax.device_put(jnp.ones(2), jax.devices()[0]), jnp.ones(2)
+    start = SHARED.Learner(params=free, optimiser=free, state=bound, key=jax.random.key(0))
+    assert (bound.committed, free.committed) == (True, False)
+    sums = {"episodes": jnp.ones(()), "score": jnp.ones(())}
+    iterate = jax.jit(lambda now: (jax.tree.map(lambda one: one, now), sums))
+    flags = SHARED.Flags(num_worlds=1, rollout_length=1, total_steps=3)
+    _, lines = SHARED.run(flags, "toy", start, iterate, 1)
+    assert len(lines) == 3
+    assert iterate._cache_size() == 1
+
+
 # ---- On a task
 
 
