@@ -6,11 +6,10 @@ python -m benchmarks.islands.speed whole --worlds 4096 --robots 16 --solvers reg
 `physics` launches Warp's kernels without JAX, with each of `solver.VARIANTS` in turn: from the same state,
 under the same random controls; a variant `+mixed` has pairs of the convex collider among all others, one
 `+tiles` MuJoCo Warp's solution of the mass matrix, one `+gravcomp` its kernel of gravity compensation, one
-`+stages` its kernels of smooth dynamics, one `+chunks-32-64` chunks of 32 bodies by 64 threads, one `+rows`
-MuJoCo Warp's kernels of contacts' rows, and one `+beside` launches on several streams, as far as they do not
-need each other. `whole` takes the whole step with all sensors, as `bench step` does; its solvers may be
-`+beside`, too. Several of these compile beside each other, and measure one after another, if they are given
-the same `--lock`.
+`+stages` its kernels of smooth dynamics, one `+chunks-32-64` chunks of 32 bodies by 64 threads, and one
+`+beside` launches on several streams, as far as they do not need each other. `whole` takes the whole step
+with all sensors, as `bench step` does; its solvers may be `+beside`, too. Several of these compile beside
+each other, and measure one after another, if they are given the same `--lock`.
 """
 
 import argparse
@@ -27,7 +26,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from usarmjx.engines.block import branches, broad_phase, contact_rows, islands, solver, trees
+from usarmjx.engines.block import branches, broad_phase, islands, solver, trees
 from usarmjx.engines.block.smooth import SmoothDynamics
 from usarmjx.engines.mjx_warp import _step_by_blocks
 
@@ -119,7 +118,6 @@ class PhysicsWorlds:
         near = self._broad_phases["mixed" not in other]
         self._step = _step_by_blocks(near, gravcomp, smooth_dynamics)
         branches.BESIDE = "beside" in other
-        contact_rows.ALONE = "rows" not in other
 
     def step(self) -> None:
         """Launch the kernels of a physics step."""

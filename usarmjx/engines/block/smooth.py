@@ -18,7 +18,6 @@ import numpy as np
 from usarmjx.engines.block import smooth_code
 from usarmjx.engines.block.advance import Advance, fits, untyped
 from usarmjx.engines.block.branches import branches_of
-from usarmjx.engines.block.contact_rows import make_constraint
 from usarmjx.engines.planar.warp_solids import expand_macros
 
 warp: Any = import_module("warp")
@@ -376,6 +375,7 @@ def stages(
         collision: Finds contacts.
         factor_solve: Solves for accelerations without constraints.
     """
+    make_constraint = import_module(f"{MUJOCO_WARP}.constraint").make_constraint
 
     def fwd_position(m: Any, d: Any, factorize: bool = True) -> None:  # noqa: ANN401
         del factorize
