@@ -1,6 +1,7 @@
 """What all tests share: how jax compiles, which examples hypothesis tries, and why a test is skipped."""
 
 import gc
+import importlib.util
 import logging
 import os
 import shutil
@@ -8,6 +9,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Generator, Iterator
+from importlib import import_module
 from pathlib import Path
 
 import hypothesis
@@ -75,6 +77,22 @@ def share_contexts() -> None:
     mlir.make_ir_context = make_ir_context
 
 
+def compile_kernels_fast(folder: Path) -> None:
+    """Let Warp compile for the processor without optimisation: its kernels took twice as long.
+
+    Its keys of kept kernels contain the level.
+
+    Args:
+        folder: Folder for its precompiled header, which each thread of XLA made for itself, in 2 s.
+    """
+    # A GPU's compiler has faults at this level, and its tests need the speed.
+    if shutil.which("nvidia-smi") is not None or importlib.util.find_spec("warp") is None:
+        return
+    import_module("warp").config.optimization_level = 0
+    folder.mkdir()
+    import_module("warp._src.context").Runtime.get_clang_pch_dir = lambda _: str(folder)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of the runs that compile as users do, and with JAX in double precision."""
     parser.addoption("--optimised", action="store_true", help="compile with XLA's default optimisation")
@@ -95,6 +113,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # training's tests. The processes of a run share the folder. It starts empty, unless a variable names one.
     own = tempfile.TemporaryDirectory(prefix="usarmjx-tests-")
     config.add_cleanup(own.cleanup)
+    if not config.getoption("optimised"):
+        compile_kernels_fast(Path(own.name) / "header")
     limit_kept(os.environ)
     folder = str(folder_of_programs(os.environ, Path(own.name)))
     write_whole_entries(folder)

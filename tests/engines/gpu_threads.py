@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 
@@ -307,3 +308,21 @@ def run_kernel_as_on_a_gpu(
     pointers = (ctypes.c_void_p * len(arrays))(*arrays)
     _library(text + run, flags)(pointers, (ctypes.c_int * len(numbers))(*numbers), dim)
     return outputs
+
+
+def ptx_of(module: Any, folder: Path, arch: int = 75) -> str:
+    """Return what NVRTC, which comes with Warp and needs no GPU, compiles of a module of kernels.
+
+    Args:
+        module: Warp's, or the Python module that has the kernels.
+        folder: Empty folder.
+        arch: Compute capability, 75 for 7.5.
+    """
+    import warp as wp
+
+    with pytest.MonkeyPatch.context() as patch:
+        # With the optimisation that users have: it decides which memory a kernel needs.
+        patch.setattr(wp.config, "optimization_level", None)
+        wp.compile_aot_module(module, arch=arch, module_dir=folder, use_ptx=True)
+    (path,) = folder.glob("*.ptx")
+    return path.read_bytes().decode("latin-1")

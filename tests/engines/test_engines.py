@@ -319,12 +319,18 @@ SINGLE = 2e-6
 beside a heavy one is out by 8e-5."""
 
 
-@pytest.mark.parametrize("speed", [0.0, 2.0])
-def test_on_jax_light_things_stand_and_fall_as_alone_beside_a_heavy_one(speed):
-    """By C MuJoCo, how deep each sinks in; in closed form, how far one falls."""
+@pytest.fixture(scope="module")
+def blocks_on_jax():
+    """Blocks on the floor, a heavy and a light one, and one that falls; both speeds share its programs."""
     heavy, light = block("heavy", 2000.0, (0.0, 0.0, 0.1)), block("light", 0.3, (1.0, 0.0, 0.1))
     arena = replace(FLAT, loose=(heavy, light, block("falls", 0.3, (2.0, 0.0, 2.0))))
-    batch = Batch(build_scene(arena, []), 1, engine="jax")
+    return Batch(build_scene(arena, []), 1, engine="jax")
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0])
+def test_on_jax_light_things_stand_and_fall_as_alone_beside_a_heavy_one(blocks_on_jax, speed):
+    """By C MuJoCo, how deep each sinks in; in closed form, how far one falls."""
+    batch = blocks_on_jax
     model = batch.engine.model
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 300)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.engines.eager import EAGER
-from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
+from tests.engines.gpu_threads import COMPILER, ptx_of, run_as_on_a_gpu
 from tests.engines.test_planar_movable import WARD
 from usarmjx.engines.planar import engine, neighbor_search
 from usarmjx.engines.planar import engine as planar
@@ -36,7 +36,6 @@ from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 pytest.importorskip("warp", reason="needs warp-lang")
-import warp as wp
 
 from usarmjx.engines.planar import warp_neighbor_search, warp_separation, warp_solids
 
@@ -327,7 +326,7 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
 @pytest.mark.parametrize("kernel", ["look", "look at the most", "look in global memory", "ground", "part"])
 def test_they_compile_for_a_gpu(kernel, tmp_path):
-    """NVRTC comes with Warp and needs no GPU; a block has 48 KiB of shared memory."""
+    """A block has 48 KiB of shared memory."""
     capacities = warp_neighbor_search.SHARED_CAPACITIES
     largest, widest = warp_neighbor_search.GLOBAL_CAPACITIES[-1], warp_neighbor_search.WIDE_THREADS
     made = {
@@ -337,8 +336,7 @@ def test_they_compile_for_a_gpu(kernel, tmp_path):
         "ground": lambda: warp_neighbor_search.ground_under_robots,
         "part": lambda: warp_separation.separation_kernel(warp_separation.MAX_ROBOTS),
     }[kernel]()
-    wp.compile_aot_module(made.module, arch=75, module_dir=tmp_path, use_ptx=True)
-    (text,) = (path.read_bytes().decode("latin-1") for path in tmp_path.glob("*.ptx"))
+    text = ptx_of(made.module, tmp_path)
     own = [
         int(size)
         for name, size in re.findall(r"\.shared .*? (\S+)\[(\d+)\];", text)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.engines.gpu_threads import COMPILER, run_kernel_as_on_a_gpu
+from tests.engines.gpu_threads import COMPILER, ptx_of, run_kernel_as_on_a_gpu
 from tests.sensors.cameras.stages import NO_LAMPS, PLANE, solid, stage_of, wall
 from usarmjx.base.errors import UsageError
 from usarmjx.models.types.arena import Light
@@ -18,7 +18,6 @@ from usarmjx.sensors.cameras.shading import Headlights, point_lights, shade
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 
 pytest.importorskip("warp", reason="needs warp-lang")
-import warp as wp
 
 from usarmjx.sensors.cameras import shading_warp
 from usarmjx.sensors.cameras.shading_warp import shade_on_warp
@@ -170,6 +169,4 @@ def test_the_lanes_of_a_gpu_see_together_what_one_does(lit_by, monkeypatch):
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
 def test_they_compile_for_a_gpu(tmp_path):
-    wp.compile_aot_module(shading_warp, arch=90, module_dir=tmp_path, use_ptx=True)
-    (path,) = tmp_path.glob("*.ptx")
-    assert path.read_bytes().count(b".entry") == 2
+    assert ptx_of(shading_warp, tmp_path, arch=90).count(".entry") == 2

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.engines.gpu_threads import ptx_of
 from tests.sensors.rays.test_raycast import quick_jit
 from tests.sensors.rays.test_warp import geoms_of, rays_at
 from usarmjx.models.compile.kinematic_tree import BodyPoses
@@ -156,15 +157,14 @@ def test_sonars_read_on_warp_what_they_read_on_jax(monkeypatch):
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
 @pytest.mark.parametrize("which", ["first of fans", "nearest of few", "nearest of many"])
 def test_kernels_compile_for_a_gpu(which, tmp_path):
-    """NVRTC comes with Warp and needs no GPU; what a CPU's thread keeps for itself is in no GPU's memory."""
+    """Data that a CPU's thread keeps for itself are in no GPU's memory."""
     made = {
         "first of fans": lambda: wp.get_module(first_of_fans_warp.__name__),
         "nearest of few": lambda: nearest_warp.selection_kernel(1).module,
         "nearest of many": lambda: nearest_warp.selection_kernel(nearest_warp.MOST // 32).module,
     }[which]()
     assert made.kernels
-    wp.compile_aot_module(made, arch=75, module_dir=tmp_path, use_ptx=True)
-    (text,) = (path.read_bytes().decode("latin-1") for path in tmp_path.glob("*.ptx"))
+    text = ptx_of(made, tmp_path)
     assert text.count(".entry") >= 1
     assert not re.search(r"\.local .*__local_depot", text)
     held = [
