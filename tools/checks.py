@@ -45,6 +45,7 @@ OPTIMISED = (
     "tests/engines/test_engines.py::test_jax_drives_as_c_mujoco_does",
     "tests/models/compile/test_kinematic_tree.py",
     "tests/sensors/rays/test_raycast.py",
+    "tests/sensors/test_nearest_warp.py",
     "tests/server/test_joints_wire.py",
     "tests/sim/test_control.py",
     "tests/train/envs/test_env.py::test_a_world_is_the_same_alone_as_in_a_batch[c]",
