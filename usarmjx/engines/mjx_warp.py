@@ -525,13 +525,12 @@ class WarpEngine(MjxEngine):
         wp, mjwarp = import_module("warp"), import_module("mujoco.mjx.warp.forward").mjwarp
         step = _one_step(True, *self._stages) if self.solver == "block" else _one_step(False, None)
         contacts, rows = self._contacts, self._row_budget(self.model)
-        # No kernel depends on the number of worlds, nor is any launched here.
-        with wp.ScopedDevice("cpu"):
+        # No kernel depends on the number of worlds, nor is any launched here. Some would be where arrays are.
+        with wp.ScopedDevice(_warp_device() or "cpu"):
             model = mjwarp.put_model(self._compiled)
             data = mjwarp.make_data(self._compiled, nworld=1, naconmax=contacts, njmax=rows)
-        # It is compiled into some of them.
-        model.opt.warn_overflow = cast("Any", self.mx).opt._impl.warn_overflow
-        with wp.ScopedDevice(_warp_device() or "cpu"):
+            # It is compiled into some of them.
+            model.opt.warn_overflow = cast("Any", self.mx).opt._impl.warn_overflow
             return modules_of(partial(step, model, data))
 
     @property
