@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import partial
 from threading import Event, Thread
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ pytest.importorskip("warp", reason="needs warp-lang")
 import warp
 
 from tests.engines.test_block import MECHANISM
-from usarmjx.base.warp_functions import without_collection
+from usarmjx.base.warp_functions import once_loaded
 from usarmjx.base.warp_modules import WarpModule, load_side_by_side, modules_of, wait_for_modules
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import LaunchReplay, WarpEngine
@@ -79,8 +80,14 @@ def test_a_callback_of_xla_waits_for_the_modules():
     for one in modules:
         one.module.unload()
     load_side_by_side(modules, warp.get_device("cpu"))
-    loaded = without_collection(lambda: [(None, 1) in one.module.execs for one in modules])()
-    assert loaded == [True, True]
+    registered, gate = Event(), Event()
+    slow = SimpleNamespace(execs=(), load=lambda device, block_dim: gate.wait(60))
+    load_side_by_side([modules[0]._replace(module=slow)], warp.get_device("cpu"))
+    callback = once_loaded(lambda: [(None, 1) in one.module.execs for one in modules], registered)
+    callback()  # as XLA does when it registers one: tracing goes on while modules are compiled
+    registered.set()
+    gate.set()
+    assert callback() == [True, True]
 
 
 def test_a_module_that_fails_is_left_to_its_first_launch():

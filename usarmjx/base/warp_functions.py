@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable
 from functools import cache, wraps
 from importlib import import_module
 from importlib.util import find_spec
-from threading import Lock
+from threading import Event, Lock
 from types import FunctionType, SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -56,15 +56,26 @@ _PAUSE = _Pause()
 
 
 def without_collection(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a callback during which no garbage is collected, once the modules of kernels are loaded."""
+    """Return a callback during which no garbage is collected."""
 
     @wraps(callback)
     def paused(*args: Any) -> Any:  # noqa: ANN401 - those of XLA
-        wait_for_modules()
         with _PAUSE:
             return callback(*args)
 
     return paused
+
+
+def once_loaded(callback: Callable[..., Any], registered: Event) -> Callable[..., Any]:
+    """Return a callback that waits for the modules of kernels, unless XLA calls it while it registers it."""
+
+    @wraps(callback)
+    def waited(*args: Any) -> Any:  # noqa: ANN401 - those of XLA
+        if registered.is_set():
+            wait_for_modules()
+        return callback(*args)
+
+    return waited
 
 
 def with_globals(function: Callable[..., None], **changed: object) -> Callable[..., Any]:
@@ -84,7 +95,11 @@ def pause_collection_in_callbacks() -> None:
     register: Callable[..., Any] = ffi._register_ffi_targets
 
     def register_paused(name: str, callback: Callable[..., Any]) -> Any:  # noqa: ANN401 - Warp's own
-        return register(name, without_collection(callback))
+        registered = Event()
+        try:
+            return register(name, once_loaded(without_collection(callback), registered))
+        finally:
+            registered.set()
 
     ffi._register_ffi_targets = register_paused
 
