@@ -105,14 +105,32 @@ class Post:
             data = self.rest.get((i, j), b"")
             while piece := link.receive(0.0):
                 data += piece
-            while len(data) >= HEAD.size and len(data) >= HEAD.size + (size := HEAD.unpack_from(data)[0]):
-                whole = data[HEAD.size : HEAD.size + size]
-                letters.append((i, j, HEAD.unpack_from(data)[1], self.mind.decoded(whole)))
-                data = data[HEAD.size + size :]
-            self.rest[i, j] = data
+            try:
+                whole, self.rest[i, j] = self.unpacked(data)
+            except ValueError as error:
+                print(f"team_client: {self.names[j]} sends {error}: its link is closed", file=sys.stderr)
+                whole, piece = [], b""
+            letters += [(i, j, seconds, letter) for seconds, letter in whole]
             if piece == b"":
                 self.close(i, j)
         return letters
+
+    def unpacked(self, data: bytes) -> tuple[list[tuple[float, np.ndarray]], bytes]:
+        """Return times and contents of the whole messages in some bytes, and the rest of the bytes.
+
+        Raises:
+            ValueError: They are no messages of this team.
+        """
+        letters, most = list[tuple[float, np.ndarray]](), 8 * self.mind.letter_size
+        while len(data) >= HEAD.size:
+            size, seconds = HEAD.unpack_from(data)
+            if size > most:
+                raise ValueError(f"a message of {size} bytes, expected at most {most}")
+            if len(data) < HEAD.size + size:
+                break
+            letters.append((seconds, self.mind.decoded(data[HEAD.size : HEAD.size + size])))
+            data = data[HEAD.size + size :]
+        return letters, data
 
 
 class Body:
@@ -235,6 +253,9 @@ def chooser(name: str, task_name: str, task: GoalTeam) -> Chooser:
     else:
         policy = NumpyPolicy(POLICIES.get(task_name) if name == "packaged" else name)
         group = policy.group(MEMBER)
+        has = policy.groups[group]["action_size"]
+        if has != task.choices:
+            raise UsageError(f"{name} has {has} choices, but --actions {task.actions} has {task.choices}")
         return lambda seen: policy.act(group, seen, policy.initial_carry(group, len(seen)))[0]
     env: Any = SimpleNamespace(name=task_name, task=task)
     act, key = jax.jit(planner(env).act), jax.random.key(0)

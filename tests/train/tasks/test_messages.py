@@ -26,7 +26,6 @@ from usarmjx.train.policies.sources import load_policy
 from usarmjx.train.tasks import messages
 from usarmjx.train.tasks.goal_features import GOALS, OBSERVATION_SIZE, Mates
 from usarmjx.train.tasks.messages import (
-    KINDS,
     MAP,
     MARKED,
     OPTION_NUMBERS,
@@ -161,6 +160,11 @@ def test_who_sends_a_map_has_it():
     known = np.asarray(heard(no_messages(3, len(own)), box).known)
     np.testing.assert_array_equal(known[2, 1], own)
     assert np.count_nonzero(known.any(-1)) == 1
+
+
+def test_maps_of_more_strips_than_an_index_names_are_refused():
+    with pytest.raises(UsageError, match="maps of 65537 strips of 12 squares, .* at most 65536"):
+        no_messages(1, 2**16 + 1)
 
 
 def test_broken_letters_are_refused():
@@ -355,9 +359,10 @@ def test_an_odd_time_between_choices_is_refused():
         replace(TASK, hold=3).scene()
 
 
-def test_every_option_keeps_its_meaning_for_each_receiver():
-    numbers = [option(to, kind) for to in range(messages.RECEIVERS) for kind in range(len(KINDS))]
-    assert numbers == list(range(1, OPTIONS))
+def test_options_are_numbered_by_receivers_and_then_kinds():
+    """Silence; pose, plan, map and victims to all, to the base, and to each of two robots: 17."""
+    assert OPTIONS == 17
+    assert (option(0, POSE), option(0, VICTIMS), option(BASE, POSE), option(3, VICTIMS)) == (1, 4, 5, 16)
 
 
 def test_reports_count_until_the_next_message_is_due():

@@ -262,7 +262,12 @@ class GoalTeam(TeamTask):
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
         """A number for each goal and each option of a message, or speed and turn."""
-        return (GOALS + self.options if self.discrete else 2,) * len(self.agent_groups(scene))
+        return (self.choices if self.discrete else 2,) * len(self.agent_groups(scene))
+
+    @property
+    def choices(self) -> int:
+        """Count of goals and options of messages that a robot chooses among."""
+        return GOALS + self.options
 
     def layout(self, scene: Scene) -> ObservationLayout | None:
         """As `Task`: the robot, the others, the goals, and perhaps the picture."""
@@ -275,7 +280,7 @@ class GoalTeam(TeamTask):
         return ObservationLayout(
             own=OWN_NUMBERS + SECTOR_COUNT,
             others=(OBSERVED_MATES, MATE_NUMBERS),
-            choices=(GOALS + self.options, GOAL_NUMBERS),
+            choices=(self.choices, GOAL_NUMBERS),
             kinds=(*kinds, *sends),
             picture=Picture(LEVELS, WIDTH, len(CHANNELS)) if self.pictures else NO_PICTURE,
         )
@@ -657,12 +662,14 @@ class GoalTeam(TeamTask):
 
     def bytes_so_far(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return the bytes that a robot has sent so far, each receiver in range counted: mean ()."""
-        agents, extra = self.agents(view.scene), memory.extra
+        agents, extra, working = self.agents(view.scene), memory.extra, self.working(view, memory)
+        there = jnp.ones(len(agents)) if working is None else working[agents]
+        share = there / jnp.maximum(there.sum(), 1.0)
         if self.parts:
-            return self.message_state(memory).sent[agents].mean()
+            return (self.message_state(memory).sent[agents] * share).sum()
         size = BYTES_PER_NUMBER * (HEADER_SIZE + self.arena_grid(view.scene).packed_size)
-        links = (_linked(view) & self.recipients(view.scene))[agents].sum(-1).mean()
-        return extra.bytes_sent + size * links
+        links = (_linked(view) & self.recipients(view.scene))[agents].sum(-1)
+        return extra.bytes_sent + size * (links * share).sum()
 
     # Observations.
 

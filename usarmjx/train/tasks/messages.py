@@ -27,6 +27,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.backend import Array
+from usarmjx.base.errors import UsageError
 from usarmjx.comms.mail import Inboxes
 from usarmjx.train.mapping.belief import ABSENT, HEADER_SIZE, Belief
 from usarmjx.train.mapping.maps import (
@@ -49,6 +50,7 @@ OPTIONS = 1 + RECEIVERS * len(KINDS)
 OPTION_NUMBERS = 12
 """Numbers that describe an option: as many as a goal's, so that both are rows of one table."""
 POSE_BYTES, PLAN_BYTES, STRIP_BYTES = 16, 24, 5
+MOST_STRIPS = 2**16
 MARKED = SQUARES_PER_NUMBER + 1
 """Rank of a strip with marks, above that of any number of other squares."""
 TEAM_SCALE, BYTES_SCALE, MARK_SCALE = 4.0, 1024.0, 4.0
@@ -95,7 +97,16 @@ class Choices(NamedTuple):
 
 
 def no_messages(robots: int, numbers: int) -> MessageState:
-    """Return the state of robots that know nothing of each other's maps, of a size when packed."""
+    """Return the state of robots that know nothing of each other's maps, of a size when packed.
+
+    Raises:
+        UsageError: More strips than an index of two bytes names.
+    """
+    if numbers > MOST_STRIPS:
+        raise UsageError(
+            f"maps of {numbers} strips of {SQUARES_PER_NUMBER} squares, but messages name at most "
+            f"{MOST_STRIPS}: set cell to a longer side"
+        )
     pairs = jnp.zeros((robots, robots))
     return MessageState(
         known=jnp.zeros((robots, robots, numbers), jnp.int32),
