@@ -163,7 +163,7 @@ def test_who_sends_a_map_has_it():
 
 
 def test_maps_of_more_strips_than_an_index_names_are_refused():
-    with pytest.raises(UsageError, match="maps of 65537 strips of 12 squares, .* at most 65536"):
+    with pytest.raises(UsageError, match=r"maps of 65537 strips of 12 squares, .* at most 65536"):
         no_messages(1, 2**16 + 1)
 
 
