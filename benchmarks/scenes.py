@@ -212,18 +212,23 @@ SAMPLE_ARENAS = 64
 """Generated arenas that a shared one is chosen from."""
 
 
-def resolved(case: SceneOptions) -> dict[str, Any]:
+def resolved(case: SceneOptions, batch: Batch | None = None) -> dict[str, Any]:
     """Return the engine and the substeps that a case means, and the solver if it is `block`.
 
     Of the solver `auto` older records say nothing: it was CG.
+
+    Args:
+        case: The case.
+        batch: Its worlds, if they are there: their engine says whether the solver covers the scene.
 
     Raises:
         UnknownNameError: No such engine or physics.
     """
     engine = choose_engine(case.engine, "batch")
     physics = case.replaced(PHYSICS.get(case.physics))
-    block = physics.solver_on(engine, gpu=jax.default_backend() != "cpu") == "block"
-    solver = {"solver": "block"} if block else {}
+    usual = physics.solver_on(engine, gpu=jax.default_backend() != "cpu")
+    ran = usual if batch is None else getattr(batch.engine, "solver", usual)
+    solver = {"solver": ran} if ran == "block" or usual == "block" else {}
     return {"engine": engine, "substeps": case.substeps or round(CONTROL_STEP / physics.timestep), **solver}
 
 

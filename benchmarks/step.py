@@ -187,7 +187,7 @@ def _measure(case: StepCase, baselines: str) -> dict[str, Any]:
     bare, whole, blind = (rates[name] for name in ("bare", "whole", "blind"))
     rays = sum(len(group.slots) * sum(group.suite.ray_counts) for group in scene.groups)
     record = {
-        "case": {**case.as_record(), **resolved(case)},
+        "case": {**case.as_record(), **resolved(case, batch)},
         "robots_per_world": scene.num_robots,
         "arena_geoms": len(scene.fixed_geoms.kind) + len(scene.moved_geom_table.kind),
         "loose_objects": len(scene.arena.loose),

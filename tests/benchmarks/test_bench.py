@@ -1,11 +1,13 @@
 """The benchmark's record: what a reader needs to judge a figure is in it."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.cases import BaselineOptions, StepCase
+from benchmarks.scenes import resolved
 from benchmarks.step import TOP, measure_step
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
@@ -114,3 +116,11 @@ def test_the_schema_refuses_what_lacks_something(outcome):
 def test_an_unknown_word_for_baselines_is_refused():
     with pytest.raises(UsageError, match="'some' is not one of all, cpu, none"):
         measure_step(StepCase(worlds=1, engine="c"), BaselineOptions(baselines="some"))
+
+
+def test_a_record_names_the_solver_that_ran():
+    """A scene that solver `block` does not cover falls back to another."""
+    case = StepCase(engine="warp", roster="P2AT:1", worlds=1, solver="block")
+    covered, kept = (SimpleNamespace(engine=SimpleNamespace(solver=name)) for name in ("block", "CG"))
+    assert resolved(case)["solver"] == resolved(case, covered)["solver"] == "block"
+    assert resolved(case, kept)["solver"] == "CG"
