@@ -101,7 +101,13 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
         UnknownNameError: No such task, engine, setting or field; lists those there are.
         UsageError: A value that is not allowed, or no networks to begin with.
     """
-    from usarmjx.train.learning.config import EnvArguments, on_gpu, task_config, turn_settings
+    from usarmjx.train.learning.config import (
+        EnvArguments,
+        on_gpu,
+        task_config,
+        turn_settings,
+        wheel_settings,
+    )
     from usarmjx.train.make import make_task, task_values
 
     known = make_task(task)
@@ -116,8 +122,9 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
             asked = _as_trained(task, source, asked)
         engine, asked, notice = _as_usual(task, engine, asked)
     overrides = task_values(known, asked.fields)
-    turns = make_task(task, **overrides).turn_length
-    training = {**turn_settings(task, turns), **asked.training}
+    played = make_task(task, **overrides)
+    own = turn_settings(task, played.turn_length) | wheel_settings(task, discrete=played.discrete)
+    training = {**own, **asked.training}
     config = task_config(task, gpu=on_gpu(engine), **training)
     if notice:  # once nothing is wrong with what was typed
         say(notice)

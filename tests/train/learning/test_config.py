@@ -26,6 +26,7 @@ from usarmjx.train.learning.config import (
     training_engine,
     training_fields,
     turn_settings,
+    wheel_settings,
 )
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
 from usarmjx.train.learning.rollout import Rollout
@@ -237,6 +238,14 @@ def test_robots_that_choose_in_turns_keep_an_action_for_a_turn():
     env = SimpleNamespace(task=SimpleNamespace(turn_length=4), worlds=4)
     with pytest.raises(UsageError, match="action_repeat is 8, but robots choose goals and messages in turns"):
         Rollout(cast(Any, env), cast(Any, None), usual)
+
+
+def test_robots_of_goals_that_are_driven_by_wheels_get_a_network_over_all_numbers():
+    usual, own = task_config("explore-v3"), wheel_settings("explore-v3", discrete=False)
+    assert (own["network"], own["action_repeat"]) == ("mlp", 1)
+    assert own["gamma"] ** usual.action_repeat == pytest.approx(usual.gamma, abs=1e-5)
+    assert own["gae_lambda"] ** usual.action_repeat == pytest.approx(usual.gae_lambda, abs=1e-5)
+    assert wheel_settings("explore-v3", discrete=True) == wheel_settings("explore-v2", discrete=False) == {}
 
 
 def test_engines_that_need_no_gpu_use_none(monkeypatch):

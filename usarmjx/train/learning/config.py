@@ -362,6 +362,20 @@ def turn_settings(task: str, turn_length: int) -> dict[str, Any]:
     }
 
 
+def wheel_settings(task: str, *, discrete: bool) -> dict[str, Any]:
+    """Return the settings for a task whose robots usually choose, see `Task.discrete`, if they do not.
+
+    A network over all numbers commands speeds in every step, with as much discount a second.
+    """
+    usual = task_config(task)
+    if discrete or usual.network == "mlp":
+        return {}
+    rates = {
+        name: round(getattr(usual, name) ** (1 / usual.action_repeat), 6) for name in ("gamma", "gae_lambda")
+    }
+    return {"network": "mlp", "action_repeat": 1, **rates}
+
+
 def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
     """Return the settings for a task, with overrides.
 
