@@ -1,5 +1,6 @@
 """The table of what scores mean: who plays, what the rows say, what is refused."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -54,6 +55,16 @@ def test_a_row_says_how_the_score_is_made_up_and_how_early_it_came(row):
     assert found.score.low < found.score.value < found.score.high
     with pytest.raises(UsageError, match="baseline: no episode ended well"):
         team_result(task, "baseline", np.zeros(0), {})
+
+
+def test_the_table_has_the_bytes_that_robots_send_where_they_are_counted(row):
+    task, found = row
+    plain, counted = table(task, [found]), table(task, [replace(found, sent=12.3), found])
+    assert "bytes/s" not in plain
+    head, _, _, first, second = counted.splitlines()
+    assert head.endswith("| bytes/s |")
+    assert first.endswith("| 12 |")
+    assert second.endswith("|  |")
 
 
 def test_the_table_begins_with_what_can_be_reached_at_most(row):

@@ -239,6 +239,7 @@ class TeamResult:
         outside: Share of the time that flying robots were not above the building.
         bad: Episodes left out as their physics failed.
         by_world: Score of each world's episode; NaN: its physics failed (worlds,).
+        sent: Bytes that a robot sent a second, each receiver counted; None: not counted.
     """
 
     name: str
@@ -248,6 +249,7 @@ class TeamResult:
     outside: float
     bad: int
     by_world: tuple[float, ...] = ()
+    sent: float | None = None
 
     @property
     def reached(self) -> tuple[float, ...]:
@@ -309,6 +311,7 @@ def team_result(
         finds=tuple(np.asarray(finds).tolist()),
         outside=float(series["outside"].mean()) if "outside" in series else 0.0,
         bad=bad,
+        sent=float(series["bytes"][-1].mean()) if "bytes" in series else None,
     )
 
 
@@ -431,13 +434,16 @@ def table(task: TeamTask, rows: Sequence[TeamResult]) -> str:
     """Return the rows as a Markdown table, below the most that each part can come to."""
     most = task.most_points
     best = [f"{points:g}" for points in most.values()]
-    lines = [["at most", f"{sum(most.values()):g}", "", *best, "", "", "", ""]]
+    counted = any(row.sent is not None for row in rows)
+    lines = [["at most", f"{sum(most.values()):g}", "", *best, "", "", "", "", *[""] * counted]]
     for row in rows:
         cells = [row.name, f"{row.score.value:.1f}", f"{row.score.low:.1f} to {row.score.high:.1f}"]
         cells += [f"{row.parts[part]:.1f}" for part in most]
         cells += [f"{100 * share:.0f} %" for share in (*row.reached, row.outside)]
+        cells += ["" if row.sent is None else f"{row.sent:.0f}"] * counted
         lines.append(cells)
-    return markdown_table(("team", "score", "95 % interval", *most, "1/4", "1/2", "3/4", "outside"), lines)
+    head = ("team", "score", "95 % interval", *most, "1/4", "1/2", "3/4", "outside", *["bytes/s"] * counted)
+    return markdown_table(head, lines)
 
 
 def shares(rows: Sequence[TeamResult]) -> str:
