@@ -271,6 +271,8 @@ def main() -> None:
     sys.argv = sys.argv[1:]
     if not sys.argv:
         sys.exit("expected the file of a program of JaxMARL, and its arguments")
+    if not Path(sys.argv[0]).is_file():
+        sys.exit(f"{sys.argv[0]} is no file: expected a program, as in baselines of JaxMARL's repository")
     register_worlds()
     sys.path.insert(0, str(Path(sys.argv[0]).parent))
     runpy.run_path(sys.argv[0], run_name="__main__")
