@@ -27,6 +27,7 @@ from usarmjx.server.network.access import AccessRules, parse_networks
 from usarmjx.server.network.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, Gate
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.pictures.image_server import ImageSettings
+from usarmjx.server.protocol.dialects import find_dialect
 from usarmjx.server.protocol.session import SEND_LIMIT
 from usarmjx.server.rosbridge.net import RosSettings
 from usarmjx.server.runtime import metrics
@@ -278,7 +279,7 @@ def test_the_page_on_security_has_the_limits_that_are_in_force():
     ]
     found_out = KEEPALIVE_IDLE + KEEPALIVE_INTERVAL * KEEPALIVE_COUNT
     expected = {
-        "connections for robots": [held[0]],
+        "connections for robots": [held[0], find_dialect("udk").max_connections],
         "without a robot and without asking for anything": [bots.init_timeout],
         "without a robot, but asking, while no seat is left": [bots.init_timeout],
         "connections to the wireless servers and for positions": [held[1]],
