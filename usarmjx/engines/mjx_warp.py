@@ -250,9 +250,9 @@ def _step_by_blocks(
     """Return MuJoCo Warp's step with solver `block`, and maybe other stages, in place of its own.
 
     Args:
-        broad_phase: See `multi_step`.
-        gravcomp: Whether a body compensates for gravity.
-        smooth_dynamics: See `multi_step`.
+        broad_phase: The broad phase of that solver; None: MuJoCo Warp's.
+        gravcomp: Whether a body compensates for gravity; without one the step leaves this out.
+        smooth_dynamics: Everything that does not depend on contacts; None: MuJoCo Warp's.
     """
     solve = import_module("usarmjx.engines.block.solver").solve
     forward = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward")
@@ -282,54 +282,27 @@ def _step_by_blocks(
 
 
 @cache
-def _one_step(
-    block: bool,
-    broad_phase: Callable[..., None] | None,
-    gravcomp: bool = True,
-    smooth_dynamics: Callable[..., None] | None = None,
-) -> Callable[[Any, Any], None]:
-    """Return a physics step of all worlds on Warp's arrays; arguments as of `multi_step`.
-
-    Raises:
-        EngineError: See `multi_step`.
-    """
-    check_mjx_version()
-    forward = import_module("mujoco.mjx.warp.forward")
-    return _step_by_blocks(broad_phase, gravcomp, smooth_dynamics) if block else forward.mjwarp.step
-
-
-@cache
-def multi_step(
-    count: int,
-    block: bool,
-    broad_phase: Callable[..., None] | None,
-    gravcomp: bool = True,
-    smooth_dynamics: Callable[..., None] | None = None,
-) -> Callable[[Any, Any], Any]:
+def multi_step(count: int, one_step: Callable[[Any, Any], None] | None) -> Callable[[Any, Any], Any]:
     """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
 
     Args:
         count: Physics steps.
-        block: Whether solver `block` takes the place of MuJoCo Warp's.
-        broad_phase: The broad phase of that solver; None: MuJoCo Warp's.
-        gravcomp: Whether a body compensates for gravity; that solver's step leaves this out without one.
-        smooth_dynamics: Of that solver's step, everything that does not depend on contacts; None: MuJoCo
-            Warp's.
+        one_step: A step of all worlds on Warp's arrays; None: MuJoCo Warp's.
 
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
     """
     check_mjx_version()
-    one_step = _one_step(block, broad_phase, gravcomp, smooth_dynamics)
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
-    replay = LaunchReplay(one_step)
+    step = one_step or forward.mjwarp.step
+    replay = LaunchReplay(step)
 
     def run_kernels(model: object, data: object) -> None:
         if jax.default_backend() == "cpu":
             replay.run(model, data, count)
             return
         for _ in range(count):
-            one_step(model, data)
+            step(model, data)
 
     shim = with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
     call = with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
@@ -500,17 +473,16 @@ class WarpEngine(MjxEngine):
             self.mx = self.mx.tree_replace({"opt._impl.graph_mode": mode})
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
-        count, block = self.physics.substeps, self.solver == "block"
-        if block and jax.default_backend() != "cpu":
+        count, own = self.physics.substeps, self._own_step
+        if own is not None and jax.default_backend() != "cpu":
             # Streams cannot be made while a graph is captured, which happens at the first step.
             import_module("usarmjx.engines.block.branches").branches_of(_warp_device())  # makes its streams
-        own = self._stages if block else ()
         if jax.default_backend() != "cpu":
             self._load_kernels()
         if self._graphs.control_step or jax.default_backend() == "cpu":
             # The number of calls is 1: the substeps are inside.
-            return (multi_step(count, True, *own) if block else multi_step(count, False, None)), 1
-        return (multi_step(1, True, *own), count) if block else super()._step_and_count()
+            return multi_step(count, own), 1
+        return super()._step_and_count() if own is None else (multi_step(1, own), count)
 
     def _load_kernels(self) -> None:
         """Start to load the kernels of a step; a program that was kept finds them in Warp's cache."""
@@ -523,7 +495,8 @@ class WarpEngine(MjxEngine):
     def modules_of_step(self) -> list[WarpModule]:
         """Return the modules of the kernels that a physics step launches, those with most code first."""
         wp, mjwarp = import_module("warp"), import_module("mujoco.mjx.warp.forward").mjwarp
-        step = _one_step(True, *self._stages) if self.solver == "block" else _one_step(False, None)
+        check_mjx_version()
+        step = self._own_step or mjwarp.step
         contacts, rows = self._contacts, self._row_budget(self.model)
         # No kernel depends on the number of worlds, nor is any launched here. Some would be where arrays are.
         with wp.ScopedDevice(_warp_device() or "cpu"):
@@ -533,10 +506,13 @@ class WarpEngine(MjxEngine):
             model.opt.warn_overflow = cast("Any", self.mx).opt._impl.warn_overflow
             return modules_of(partial(step, model, data))
 
-    @property
-    def _stages(self) -> tuple[Callable[..., None], bool, Callable[..., None] | None]:
-        """Return the last arguments of `multi_step` for solver `block`."""
-        return self._broad_phase, bool(self.model.body_gravcomp.any()), self._smooth_dynamics
+    @cached_property
+    def _own_step(self) -> Callable[[Any, Any], None] | None:
+        """Physics step with solver `block`, on Warp's arrays; None: MuJoCo Warp's is taken."""
+        if self.solver != "block":
+            return None
+        gravcomp = bool(self.model.body_gravcomp.any())
+        return _step_by_blocks(self._broad_phase, gravcomp, self._smooth_dynamics)
 
     @property
     def _contacts(self) -> int:
