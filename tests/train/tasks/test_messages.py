@@ -109,12 +109,12 @@ def test_a_budget_is_divided_among_those_in_range():
 
 
 def sent(own, known, kind, size):
-    """The state after robot 0 sends a kind to robot 1, which is believed to know a map."""
+    """The state after robot 0 sends a kind to robot 1, which is believed to know a map; both are packed."""
     state = no_messages(2, len(own))
     state = state.replace(known=state.known.at[0, 1].set(known))
     to = jnp.zeros((2, 4, 2), bool).at[0, :, 1].set(True)
     offered = Choices(to, jnp.full((2, 4), size), jnp.ones((2, OPTIONS), bool))
-    both = jnp.stack([jnp.asarray(own), jnp.zeros(len(own), jnp.int32)])
+    both = jnp.stack([unpack(own, (12, 20)), jnp.zeros((12, 20), jnp.uint8)])
     return posted(state, offered, both, jnp.array([option(BASE, kind), 0]))
 
 

@@ -445,8 +445,8 @@ class GoalTeam(TeamTask):
                 slots = scene.groups[group].slots
                 wanted = jnp.where(offered.valid[slots], action[:, GOALS:], -jnp.inf).argmax(-1)
                 chosen = chosen.at[slots].set(wanted)
-        own = messages.packed_maps(memory.belief)
-        state = where_due(messages.posted, self.sends_now(memory), state, state, offered, own, chosen)
+        facts = state, offered, memory.belief.squares, chosen
+        state = where_due(messages.posted, self.sends_now(memory), state, *facts)
         return memory.replace(extra=memory.extra.replace(messaging=state))
 
     @property
@@ -606,7 +606,7 @@ class GoalTeam(TeamTask):
         what = "marks" if self.news_kind == MARK else "free"
         compare = partial(messages.compared, news=what, worth=self.news_worth)
         due = memory.step % (self.hold // 2) == 0  # before each choice
-        state = where_due(compare, due, state, state, messages.packed_maps(belief))
+        state = where_due(compare, due, state, state, belief.squares)
         left = state.untold[:, base]
         informed = (_linked(view)[:, base] & (left == 0.0)) | (np.arange(len(left)) == base)
         contact = jnp.where(due & informed, view.time, belief.base_contact_time)

@@ -121,9 +121,9 @@ def no_messages(robots: int, numbers: int) -> MessageState:
     )
 
 
-def packed_maps(belief: Belief) -> jax.Array:
-    """Return the robots' maps as their messages hold them, int32 (robots, numbers)."""
-    return jax.vmap(pack)(belief.squares).astype(jnp.int32)
+def packed_maps(squares: Array) -> jax.Array:
+    """Return the robots' maps (robots, i, j) as their messages hold them, int32 (robots, numbers)."""
+    return jax.vmap(pack)(squares).astype(jnp.int32)
 
 
 def _count(bits: jax.Array) -> jax.Array:
@@ -146,16 +146,16 @@ def heard(state: MessageState, mail: Inboxes) -> MessageState:
     return state.replace(known=merge_numbers(state.known, came))
 
 
-def compared(state: MessageState, own: jax.Array, news: str, worth: float) -> MessageState:
-    """Return the state with what others may not have of the robots' maps (robots, numbers).
+def compared(state: MessageState, squares: Array, news: str, worth: float) -> MessageState:
+    """Return the state with what others may not have of the robots' maps.
 
     Args:
         state: The state.
-        own: Their maps, packed.
+        squares: Their maps (robots, i, j).
         news: Squares that are news: `free` or `marks`.
         worth: Squares that a square of news counts as.
     """
-    there, known = own[:, None], state.known
+    there, known = packed_maps(squares)[:, None], state.known
     marks = _count(packed_marks(there) & ~packed_marks(known)).sum(-1)
     free = _count(packed_free(there) & ~packed_free(known)).sum(-1)
     changed = merge_numbers(there, known) ^ known
@@ -291,16 +291,16 @@ def best_strips(rank: jax.Array, most: jax.Array) -> jax.Array:
     return (whole | rest) & (rank > 0)
 
 
-def posted(state: MessageState, offered: Choices, own: jax.Array, chosen: jax.Array) -> MessageState:
+def posted(state: MessageState, offered: Choices, squares: Array, chosen: jax.Array) -> MessageState:
     """Return the state after robots chose options (robots,), with what they send.
 
     Args:
         state: The state.
         offered: Their options.
-        own: Their maps, packed (robots, numbers).
+        squares: Their maps (robots, i, j).
         chosen: The options.
     """
-    rows = jnp.arange(len(chosen))
+    rows, own = jnp.arange(len(chosen)), packed_maps(squares)
     kind, where = (chosen - 1) % len(KINDS), jnp.maximum(chosen - 1, 0) // len(KINDS)
     to = offered.receivers[rows, where] & (chosen > 0)[:, None]
     strips = jnp.maximum(offered.room[rows, where] - PLAN_BYTES, 0.0) / STRIP_BYTES
