@@ -358,7 +358,7 @@ def turn_settings(task: str, turn_length: int) -> dict[str, Any]:
     return {
         "action_repeat": turn_length,
         **{name: more * getattr(usual, name) for name in counts},
-        **{name: round(getattr(usual, name) ** (1 / more), 6) for name in ("gamma", "gae_lambda")},
+        **_discounts(usual, more),
     }
 
 
@@ -370,10 +370,12 @@ def wheel_settings(task: str, *, discrete: bool) -> dict[str, Any]:
     usual = task_config(task)
     if discrete or usual.network == "mlp":
         return {}
-    rates = {
-        name: round(getattr(usual, name) ** (1 / usual.action_repeat), 6) for name in ("gamma", "gae_lambda")
-    }
-    return {"network": "mlp", "action_repeat": 1, **rates}
+    return {"network": "mlp", "action_repeat": 1, **_discounts(usual, usual.action_repeat)}
+
+
+def _discounts(usual: Config, more: int) -> dict[str, float]:
+    """Return gamma and lambda of actions, as many of which together discount as a usual one."""
+    return {name: round(getattr(usual, name) ** (1 / more), 6) for name in ("gamma", "gae_lambda")}
 
 
 def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
