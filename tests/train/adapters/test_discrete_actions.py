@@ -165,19 +165,11 @@ def test_jaxmarl_agents_choose_among_the_goals_that_are_there():
     assert rewards["__all__"].shape == (3,)
 
 
-def test_jaxmarl_makes_tasks_by_name(monkeypatch):
-    jaxmarl = pytest.importorskip("jaxmarl", reason="needs the extra rl")
+def test_jaxmarl_makes_tasks_by_name(made):
+    import jaxmarl
+
     from usarmjx.train.adapters import jaxmarl as ours
 
-    made = []
-
-    def remember(name, **keywords):
-        made.append((name, keywords))
-        return LineToy()
-
-    monkeypatch.setattr(ours, "make_task_env", remember)
-    monkeypatch.setattr(jaxmarl, "make", jaxmarl.make)
-    monkeypatch.setattr(jaxmarl, "registered_envs", list(jaxmarl.registered_envs))
     ours.register_worlds()
     ours.register_worlds()
     assert jaxmarl.registered_envs.count("usarmjx/explore-v3") == 1

@@ -123,23 +123,6 @@ def test_a_step_without_reset_leaves_a_world_at_its_end():
 # ---- Names
 
 
-@pytest.fixture
-def made(monkeypatch):
-    """Arguments of the environments that `jaxmarl.make` makes."""
-    import jaxmarl
-
-    calls = []
-
-    def remember(name, **keywords):
-        calls.append((name, keywords))
-        return LineToy()
-
-    monkeypatch.setattr(ours, "make_task_env", remember)
-    monkeypatch.setattr(jaxmarl, "make", jaxmarl.make)
-    monkeypatch.setattr(jaxmarl, "registered_envs", list(jaxmarl.registered_envs))
-    return calls
-
-
 def test_names_have_settings_for_programs_that_pass_no_keywords_on(made):
     import jaxmarl
 
