@@ -127,6 +127,7 @@ def serve(
     """
     configure_log(verbose=verbose, as_json=log_json)
     with ErrorExit(), StopSignals() as signals:
+        check_roster(which.roster, (*(which.robot or ()), *which.ini_files))
         host = Host(
             listen=listen,
             settings=listen.settings(which.ini_files, which.seats),
@@ -140,7 +141,6 @@ def serve(
             if not log_json:
                 host.warn(ports)
             many = f" for {which.worlds} worlds" if which.worlds > 1 else ""
-            check_roster(which.roster, (*(which.robot or ()), *which.ini_files))
             announce(f"building arena {which.arena}{many} ...")
             services = host.prepare(which.ini_files)
             worlds = which.make(which.seats or host.settings.max_connections)
