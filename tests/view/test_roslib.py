@@ -87,6 +87,8 @@ def test_a_page_of_roslib_asks_what_there_is_and_shows_a_robot_that_moves(browse
         assert page.js("about('getTopicType', '/R1/odom')") == "nav_msgs/msg/Odometry"
         (twist, *_) = page.js("about('getMessageDetails', 'geometry_msgs/Twist')")
         assert twist["fieldnames"] == ["linear", "angular"]
+        spawn = page.js("about('getServiceRequestDetails', 'usarmjx_msgs/Spawn')")
+        assert spawn["typedefs"][0]["fieldnames"] == ["class", "name", "pose", "start"]
         assert page.js("parameter('/absent')") is None
         page.wait("bodies().length >= 5 && heard.x !== null && heard.odom !== null")
         assert page.js("bodies().every(body => body.visible)"), "each link's frame came by the TF client"

@@ -19,6 +19,7 @@ from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.motion import footprint_transform, frame_name
 from usarmjx.server.rosbridge.republisher import TransformRequest, TransformRequests, resolve
 from usarmjx.server.rosbridge.robot_description import urdf
+from usarmjx.server.rosbridge.service_types import SERVICE_TYPES
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 CLOSE = 1e-5  # m and rad: texts of a URDF have six digits
@@ -46,7 +47,8 @@ def test_nodes_and_services_are_listed_with_their_types(ros):
     assert "/R1/cmd_vel" in details["subscribing"]
     assert {"/clock", "/R1/odom"} <= set(details["publishing"])
     assert values(ros, "service_type", service="/simulator/spawn") == {"type": "usarmjx_msgs/Spawn"}
-    for service in values(ros, "services")["services"]:
+    assert set(values(ros, "services")["services"]) == set(SERVICE_TYPES)
+    for service in SERVICE_TYPES:
         kind = values(ros, "service_type", service=service)["type"]
         assert service in values(ros, "services_for_type", type=kind)["services"]
         assert values(ros, "service_node", service=service) == {"node": "/usarmjx"}
@@ -69,6 +71,51 @@ def test_message_details_are_those_of_rosapi(ros):
     odometry = values(ros, "message_details", type="nav_msgs/Odometry")["typedefs"]
     assert "geometry_msgs/PoseWithCovariance" in {one["type"] for one in odometry}
     assert ros.call("/rosapi/message_details", type="no/Such")["result"] is False
+
+
+ARGUMENTS = {
+    "message_details": {"type": "geometry_msgs/Twist"},
+    "service_request_details": {"type": "rosapi/Nodes"},
+    "service_response_details": {"type": "rosapi/Nodes"},
+    "set_param": {"name": "/mine", "value": "1"},
+}
+"""Arguments of those services that answer no empty request."""
+
+
+@pytest.mark.parametrize("service", [name for name in SERVICE_TYPES if name.startswith("/rosapi/")])
+def test_every_service_answers_with_the_fields_of_its_type(ros, service):
+    name = service.removeprefix("/rosapi/")
+    kind = values(ros, "service_type", service=service)["type"]
+    assert kind.startswith("rosapi_msgs/srv/")
+    (request, *_), (response, *_) = (
+        values(ros, f"service_{part}_details", type=kind)["typedefs"] for part in ("request", "response")
+    )
+    assert (request["type"], response["type"]) == (f"{kind}_Request", f"{kind}_Response")
+    arguments = ARGUMENTS.get(name, {})
+    assert set(arguments) <= set(request["fieldnames"])
+    assert set(values(ros, name, **arguments)) == set(response["fieldnames"])
+
+
+def test_details_of_services_are_those_that_roslib_and_roslibpy_ask(ros):
+    """In ROS 1's form `Request` and `Response` follow the name, as rospy's classes are called."""
+    request, pose, *_ = values(ros, "service_request_details", type="usarmjx_msgs/Spawn")["typedefs"]
+    assert request["type"] == "usarmjx_msgs/SpawnRequest"
+    assert dict(zip(request["fieldnames"], request["fieldtypes"], strict=True)) == {
+        "class": "string",
+        "name": "string",
+        "pose": "geometry_msgs/Pose",
+        "start": "string",
+    }
+    assert pose["type"] == "geometry_msgs/Pose"
+    (response,) = values(ros, "service_response_details", type="usarmjx_msgs/Spawn")["typedefs"]
+    assert (response["type"], response["fieldnames"]) == ("usarmjx_msgs/SpawnResponse", ["name"])
+    details, definition = values(ros, "service_response_details", type="rosapi/MessageDetails")["typedefs"]
+    assert (details["fieldtypes"], details["fieldarraylen"]) == (["rosapi/TypeDef"], [0])
+    twist, *_ = values(ros, "message_details", type="geometry_msgs/Twist")["typedefs"]
+    assert list(twist) == definition["fieldnames"]
+    _, later = values(ros, "service_response_details", type="rosapi_msgs/srv/MessageDetails")["typedefs"]
+    assert later["type"] == "rosapi_msgs/msg/TypeDef"
+    assert ros.call("/rosapi/service_request_details", type="no/Such")["result"] is False
 
 
 def test_parameters_are_kept_and_the_robots_description_is_one(ros):

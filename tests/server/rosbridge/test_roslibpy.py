@@ -35,6 +35,9 @@ def test_roslibpy_asks_drives_and_hears():
         assert "/R1/odom" in asked(ros.get_topics_for_type, "nav_msgs/Odometry")["topics"]
         details = asked(ros.get_message_details, "geometry_msgs/Twist")
         assert details["typedefs"][0]["fieldnames"] == ["linear", "angular"]
+        for part, fields in (("request", ["class", "name", "pose", "start"]), ("response", ["name"])):
+            ask = getattr(ros, f"get_service_{part}_details")
+            assert ask("usarmjx_msgs/Spawn")["typedefs"][0]["fieldnames"] == fields
         assert "P2AT" in roslibpy.Param(ros, "/R1/robot_description").get(timeout=PATIENCE)
         mine = roslibpy.Param(ros, "/mine")
         mine.set([1, 2], timeout=PATIENCE)

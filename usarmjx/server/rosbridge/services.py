@@ -4,6 +4,7 @@ import json
 import logging
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,22 @@ from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.protocol.commands import Init
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import clip
-from usarmjx.server.rosbridge.definitions import BUILTIN, RosMessage, RosVersion, json_object
+from usarmjx.server.rosbridge.definitions import (
+    BUILTIN,
+    MessageFields,
+    RosMessage,
+    RosVersion,
+    json_object,
+)
 from usarmjx.server.rosbridge.motion import TrajectoryRun, drive_keys, read_trajectory, read_twist
 from usarmjx.server.rosbridge.republisher import REPUBLISH
 from usarmjx.server.rosbridge.robot_description import urdf
+from usarmjx.server.rosbridge.service_types import (
+    SERVICE_TYPES,
+    TYPE_DEFINITION,
+    TYPE_DEFINITION_FIELDS,
+    find_service_type,
+)
 from usarmjx.server.rosbridge.topics import TRAJECTORY, WorldTopics
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import CommandUpdate, ControlMode
@@ -212,12 +225,8 @@ MOST_PARAMETERS = 256
 LONGEST_VALUE = 65_536
 """Longest value of a parameter [characters of JSON]."""
 EXAMPLES = {"string": "", "bool": "false", "float32": "0.0", "float64": "0.0"}
-_FURTHER_TYPES = {
-    SPAWN: "usarmjx_msgs/Spawn",
-    REMOVE: "usarmjx_msgs/Remove",
-    REPUBLISH: "tf2_web_republisher/RepublishTFs",
-}
-"""Types of the services that are not rosapi's."""
+_FURTHER = (SPAWN, REMOVE, REPUBLISH)
+"""Services that are not rosapi's."""
 
 ServiceFunction = Callable[[Mapping[str, Any]], RosMessage]
 
@@ -299,7 +308,7 @@ class RosApi:
 
     def names(self) -> list[str]:
         """Return the names of all services."""
-        return [*self._services, *_FURTHER_TYPES]
+        return [*self._services, *_FURTHER]
 
     def call(self, service: str, args: Mapping[str, Any]) -> RosMessage:
         """Return the values of a service's answer.
@@ -338,6 +347,8 @@ class RosApi:
                 "providers": [NODE] if self._services_for(_text(args, "service")) else []
             },
             "/rosapi/services_for_type": lambda args: {"services": self._services_for(_text(args, "type"))},
+            "/rosapi/service_request_details": partial(self._service_details, part="Request"),
+            "/rosapi/service_response_details": partial(self._service_details, part="Response"),
         }
 
     def _of_parameters(self) -> dict[str, ServiceFunction]:
@@ -379,23 +390,51 @@ class RosApi:
         return [NODE] if topic is not None and topic.is_listened_to == drives else []
 
     def _details(self, args: Mapping[str, Any]) -> RosMessage:
-        """Return the fields of a type and of the types in it; none for an unknown one."""
+        """Return the fields of a type and of the types in it."""
         asked = _text(args, "type")
-        waiting, definitions = [asked.replace("/msg/", "/")], list[RosMessage]()
-        seen = set(waiting)
+        name = asked.replace("/msg/", "/")
+        return {"typedefs": self._definitions(asked, name, self._fields(asked, name))}
+
+    def _service_details(self, args: Mapping[str, Any], part: str) -> RosMessage:
+        """Return the fields of a service's Request or Response and of the types in it."""
+        asked = _text(args, "type")
+        found = find_service_type(asked)
+        if found is None:
+            raise UsageError(f"no service type {clip(asked)} is known here")
+        is_later = "/srv/" in asked
+        name = f"{asked}_{part}" if is_later else f"{found.name}{part}"
+        return {
+            "typedefs": self._definitions(asked, name, found.request if part == "Request" else found.response)
+        }
+
+    def _fields(self, asked: str, name: str) -> MessageFields:
+        """Return the fields of a type that occurs in what was asked for."""
+        if name == TYPE_DEFINITION:
+            return TYPE_DEFINITION_FIELDS
+        try:
+            return self._version.fields(name)
+        except KeyError:
+            raise UsageError(f"no type {clip(asked)} is known here") from None
+
+    def _definitions(self, asked: str, name: str, fields: MessageFields) -> list[RosMessage]:
+        """Return the definitions of a type with these fields, and of the types in it.
+
+        Raises:
+            UsageError: A type in it is not known.
+        """
+        is_long = "/msg/" in asked or "/srv/" in asked
+        waiting, definitions = [(name, fields)], list[RosMessage]()
+        seen = {name}
         while waiting:
-            name = waiting.pop(0)
-            try:
-                fields = self._version.fields(name)
-            except KeyError:
-                raise UsageError(f"no type {clip(asked)} is known here") from None
-            definitions.append(_definition(name, fields, long="/msg/" in asked))
+            name, fields = waiting.pop(0)
+            definitions.append(_definition(name, fields, long=is_long))
             # Seen types are kept apart from waiting ones: a type that contains itself by way of another would
             # never end.
             inner = [base for base in (kind.partition("[")[0] for kind in fields.values()) if "/" in base]
-            waiting += [base for base in dict.fromkeys(inner) if base not in seen]
+            new = [base for base in dict.fromkeys(inner) if base not in seen]
+            waiting += [(base, self._fields(asked, base)) for base in new]
             seen.update(inner)
-        return {"typedefs": definitions}
+        return definitions
 
     def _time(self, args: Mapping[str, Any]) -> RosMessage:
         del args
@@ -415,13 +454,8 @@ class RosApi:
         }
 
     def _service_type(self, service: str) -> str:
-        if service in _FURTHER_TYPES:
-            return _FURTHER_TYPES[service]
-        if service not in self._services:
-            return ""
-        words = service.rpartition("/")[2].split("_")
-        name = "".join(word.capitalize() for word in words)
-        return f"rosapi_msgs/srv/{name}" if self._version == RosVersion.ROS2 else f"rosapi/{name}"
+        found = SERVICE_TYPES.get(service)
+        return "" if found is None else found.full_name(self._version)
 
     def _services_for(self, kind: str) -> list[str]:
         return [name for name in self.names() if self._service_type(name) == kind]
@@ -453,6 +487,11 @@ def _text(args: Mapping[str, Any], key: str) -> str:
     return value
 
 
+def _long_name(name: str) -> str:
+    """Return the name of a type in ROS 2's form; rosapi's types have a package of their own there."""
+    return RosVersion.ROS2.type_name(name.replace("rosapi/", "rosapi_msgs/"))
+
+
 def _definition(name: str, fields: Mapping[str, str], *, long: bool) -> RosMessage:
     """Return the fields of a type as rosapi's TypeDef: -1 is no list, 0 one of any length."""
     bases, lengths = list[str](), list[int]()
@@ -460,14 +499,10 @@ def _definition(name: str, fields: Mapping[str, str], *, long: bool) -> RosMessa
         base, bracket, length = kind.partition("[")
         bases.append(base)
         lengths.append(-1 if not bracket else int(length[:-1] or 0))
-    spelled = [base.replace("/", "/msg/") if long else base for base in bases]
-    spelled = [
-        BUILTIN.get(base, text) if not long else text for base, text in zip(bases, spelled, strict=True)
-    ]
     return {
-        "type": name.replace("/", "/msg/") if long else name,
+        "type": _long_name(name) if long else name,
         "fieldnames": list(fields),
-        "fieldtypes": spelled,
+        "fieldtypes": [_long_name(base) if long else BUILTIN.get(base, base) for base in bases],
         "fieldarraylen": lengths,
         "examples": [
             "[]" if length >= 0 else "{}" if "/" in base else EXAMPLES.get(base, "0")
