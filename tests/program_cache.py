@@ -8,7 +8,7 @@ from usarmjx.base.compilation import OFF_VALUES, processor, prune_cache
 KEPT = "USARMJX_TEST_CACHE"
 """Environment variable: a folder that runs share, too; unset or one of `OFF_VALUES`: a run begins with none.
 
-`dev.py test` sets it to `build/tests` of the checkout.
+`dev.py test` sets it to `usarmjx-tests` in the user's cache folder.
 """
 MAX_KEPT_SIZE = 1_500_000_000
 """Size above which a run first removes the least recently used programs of a kept folder [bytes]."""

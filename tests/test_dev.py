@@ -290,9 +290,13 @@ def test_jax_gets_a_pool_that_cannot_deadlock(
     assert checkout.log.read_text() == f"NPROC={seen} -m good\n"
 
 
-@pytest.mark.parametrize("given", [None, "off"])
+@pytest.mark.parametrize(("given", "can_write"), [(None, True), (None, False), ("off", True)])
 def test_test_runs_share_programs_unless_another_folder_or_none_is_asked_for(
-    checkout: FakeCheckout, monkeypatch: pytest.MonkeyPatch, given: str | None
+    checkout: FakeCheckout,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    given: str | None,
+    can_write: bool,
 ):
     seen: list[str] = []
 
@@ -305,9 +309,14 @@ def test_test_runs_share_programs_unless_another_folder_or_none_is_asked_for(
     monkeypatch.delenv("USARMJX_TEST_CACHE", raising=False)
     if given:
         monkeypatch.setenv("USARMJX_TEST_CACHE", given)
+    users = tmp_path / "users"
+    if not can_write:
+        users.touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(users))
     monkeypatch.setattr(environment.subprocess, "run", run)
     environment.run_steps(checkout.environment, [["-m", "good"]])
-    assert seen == [given or str(checkout.environment.root / "build" / "tests")]
+    kept = users / "usarmjx-tests" if can_write else checkout.environment.root / "build" / "tests"
+    assert seen == [given or str(kept)]
 
 
 def test_missing_ensurepip_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

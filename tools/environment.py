@@ -158,6 +158,20 @@ class Beside(list[str]):
     """
 
 
+def kept_programs(root: Path) -> Path:
+    """Return the folder of programs that tests compile: one for all checkouts, so that new ones find them.
+
+    Args:
+        root: A checkout, which keeps them itself where the user's cache folder cannot be written.
+    """
+    try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "usarmjx-tests"
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return root / "build" / "tests"
+    return folder
+
+
 class StepRun:
     """A run of the steps of a verb.
 
@@ -169,8 +183,11 @@ class StepRun:
     def __init__(self, environment: Environment, is_long: bool) -> None:
         self._environment, self._is_long = environment, is_long
         # jaxlib on two cores deadlocks when two batched factorisations share its pool of two threads.
-        kept = str(environment.root / "build" / "tests")
-        self._variables = {"NPROC": "8", "USARMJX_TEST_CACHE": kept, **os.environ}
+        self._variables = {
+            "NPROC": "8",
+            "USARMJX_TEST_CACHE": str(kept_programs(environment.root)),
+            **os.environ,
+        }
         # pyright looks for the packages of the first `python` on the path.
         path = (str(environment.python.parent), os.environ.get("PATH", ""))
         self._variables["PATH"] = os.pathsep.join(path)
