@@ -14,6 +14,7 @@ from benchmarks.cases import SceneCase, SceneOptions
 from usarmjx.base.backend import Array
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, PhysicsState, choose_engine
+from usarmjx.engines.base import choose_solver
 from usarmjx.models.compile.physics import PHYSICS
 from usarmjx.models.generate import generate_many
 from usarmjx.models.generate.kinds import DEFAULT_STARTS
@@ -226,7 +227,7 @@ def resolved(case: SceneOptions, batch: Batch | None = None) -> dict[str, Any]:
     """
     engine = choose_engine(case.engine, "batch")
     physics = case.replaced(PHYSICS.get(case.physics))
-    usual = physics.solver_on(engine, gpu=jax.default_backend() != "cpu")
+    usual = choose_solver(physics, engine)
     ran = usual if batch is None else getattr(batch.engine, "solver", usual)
     solver = {"solver": ran} if ran == "block" or usual == "block" else {}
     return {"engine": engine, "substeps": case.substeps or round(CONTROL_STEP / physics.timestep), **solver}

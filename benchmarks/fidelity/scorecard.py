@@ -7,13 +7,11 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from typing import Any
 
-import jax
-
 from benchmarks.cases import RecordOptions, ScorecardCase
 from benchmarks.fidelity.conditions import Conditions
 from benchmarks.fidelity.manoeuvres import MANOEUVRES, SHEET_MANOEUVRES, drive_all, manoeuvres_on
 from benchmarks.tools import append_record, record_header
-from usarmjx.engines.base import choose_engine
+from usarmjx.engines.base import choose_engine, choose_solver
 from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 
@@ -90,7 +88,7 @@ def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> 
 
 def _settings(physics: Physics, engine: str) -> dict[str, Any]:
     """Return settings as a record has them, with the solver by its name."""
-    solver = physics.solver_on(engine, gpu=jax.default_backend() != "cpu")
+    solver = choose_solver(physics, engine)
     return asdict(physics) | {"solver": solver}
 
 

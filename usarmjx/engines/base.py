@@ -401,6 +401,13 @@ def choose_engine(name: str, purpose: Literal["serve", "train", "batch"]) -> str
     return "c" if purpose == "serve" or (purpose == "train" and kinds == {"cpu"}) else "jax"
 
 
+def choose_solver(physics: Physics, engine: str) -> str:
+    """Resolve solver `auto`: `block` on engine `warp` with a GPU, for scenes that it covers; otherwise CG."""
+    if physics.solver != "auto":
+        return physics.solver
+    return "block" if engine == "warp" and jax.default_backend() != "cpu" else "CG"
+
+
 def engine_class(name: str) -> type[Engine[Any]]:
     """Return the class of an engine.
 

@@ -29,7 +29,7 @@ from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
 from usarmjx.base.warp_functions import pause_collection_in_callbacks, with_globals
 from usarmjx.base.warp_modules import WarpModule, load_side_by_side, modules_of
-from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
+from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome, choose_solver
 from usarmjx.engines.block import why_not
 from usarmjx.engines.cylinder_box import check_mjx_version
 from usarmjx.engines.mjx import MjxEngine, local_device, mjx
@@ -358,7 +358,7 @@ class WarpEngine(MjxEngine):
                 "engine 'warp' needs warp-lang: install usarmjx[cuda] or usarmjx[warp]"
             ) from missing
         pause_collection_in_callbacks()
-        self.solver = physics.solver_on(self.name, gpu=jax.default_backend() != "cpu")
+        self.solver = choose_solver(physics, self.name)
         self.uncovered: str | None = None
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         if jax.default_backend() == "cpu":

@@ -76,12 +76,6 @@ class Physics:
         """Constraint rows of a contact with sliding friction."""
         return 3 if self.cone == "elliptic" else 4
 
-    def solver_on(self, engine: str, *, gpu: bool) -> str:
-        """Return the solver that scenes have on an engine, on a GPU or not, unless it does not cover them."""
-        if self.solver != "auto":
-            return self.solver
-        return "block" if engine == "warp" and gpu else "CG"
-
     @classmethod
     def fast(cls) -> "Physics":
         """Return settings for training and sweeps: several times as fast, and less exact.
