@@ -17,6 +17,7 @@ import warp
 from tests.engines.test_block import MECHANISM
 from usarmjx.base.warp_functions import once_loaded
 from usarmjx.base.warp_modules import WarpModule, load_side_by_side, modules_of, wait_for_modules
+from usarmjx.engines import mjx_warp
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import LaunchReplay, WarpEngine
 from usarmjx.models.compile.physics import Physics
@@ -43,6 +44,13 @@ def add_much(numbers: warp.array(dtype=float)):
 def launch(data, *kernels):
     for kernel in kernels:
         warp.launch(kernel, dim=len(data), inputs=[data], device="cpu")
+
+
+def engine_of(cone, physics):
+    spec = mujoco.MjSpec.from_string(MECHANISM.format(cone=cone, condim=4))
+    for name, value in (("max_contact_points", 16), ("max_geom_pairs", 16)):
+        spec.add_numeric(name=name, size=1, data=[value])
+    return WarpEngine(spec, physics, WORLDS)
 
 
 def test_modules_of_launches_are_listed_longest_first_and_nothing_is_launched():
@@ -136,10 +144,7 @@ def test_all_threads_wait_for_a_module_that_is_being_loaded():
 )
 def test_a_step_launches_kernels_of_no_other_modules(physics, cone, monkeypatch):
     """The step's own callback is the oracle: it has XLA's arrays of all worlds, and launches nothing here."""
-    spec = mujoco.MjSpec.from_string(MECHANISM.format(cone=cone, condim=4))
-    for name, value in (("max_contact_points", 16), ("max_geom_pairs", 16)):
-        spec.add_numeric(name=name, size=1, data=[value])
-    engine, launched = WarpEngine(spec, physics, WORLDS), []
+    engine, launched = engine_of(cone, physics), []
 
     def record(self, model, data, count):
         del count
@@ -158,3 +163,15 @@ def test_a_step_launches_kernels_of_no_other_modules(physics, cone, monkeypatch)
     assert len(launched) == 1
     assert len(launched[0]) > 10
     assert set(engine.modules_of_step()) == set(launched[0])
+
+
+def test_kernels_begin_to_load_before_a_reset_is_compiled_and_once(monkeypatch):
+    engine, events = engine_of("elliptic", Physics()), []
+    made = engine._make_data
+    monkeypatch.setattr(engine, "_make_data", lambda: (events.append("compile"), made())[1])
+    monkeypatch.setattr(mjx_warp, "load_side_by_side", lambda modules, _: events.append(len(modules)))
+    monkeypatch.setattr(mjx_warp, "_warp_device", lambda: None)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    engine.start()
+    engine._step_and_count()
+    assert events == [len(engine.modules_of_step()), "compile"]
