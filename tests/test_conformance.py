@@ -214,3 +214,35 @@ def test_the_table_of_the_later_versions_is_sound_and_counted():
         assert all(name in functions_in(ROOT / file) for file, name in tests), item
         assert note or status != "partly", item
     assert len({(row[0], row[1]) for row in rows}) == len(rows)
+
+
+LATER_WORDS = (
+    *(
+        "INIT",
+        "GETSTARTPOSES",
+        "CONTROL",
+        "TEST",
+        "DRIVE",
+        "GETGEO",
+        "GETCONF",
+        "SET",
+        "MISPKG",
+        "ACT",
+        "MOVE",
+    ),
+    *("NFO", "STA", "ASTA", "MISSTA", "SEN", "GEO", "CONF", "RES", "EFF", "DIE"),
+    *("Accel", "AcceleroMeter", "Acoustic", "AltitudeSensor", "Battery", "TouchArray", "Encoder", "GPS"),
+    *("GroundTruth", "SICK", "HokuyoURG04LX", "IMU", "INS", "IR2", "IRScanner", "KinectDepth", "LineLaser"),
+    *("MagneticCompass", "MissionTime", "ObjectSensor", "Odometry", "RangeSensorArray", "RangeScanner"),
+    *("RotatingPointCloudScanner", "Tachometer", "Camera", "Gripper", "Actuator", "Joint"),
+    *("AbsMove", "RelMove", "Create", "Kill", "KillAll", "GetSTA", "Conveyor", "Rotate", "AddWP", "ClearWP"),
+    *("SetWP", "USARTruth", "ComServer", "ComServerInterface", "UPIS", "MultiView"),
+)
+"""Heads of BotConnection.uc, of what the classes send, and types of USARSensor, USARActuator and CONTROL."""
+
+
+def test_each_command_message_and_type_of_the_later_versions_has_a_row():
+    text = (ROOT / "docs" / "conformance-udk.md").read_text(encoding="utf-8")
+    cells = [cell for line in text.splitlines() if line.startswith("|") for cell in cells_of(line)[:2]]
+    words = {word for cell in cells for word in re.findall(r"\w+", cell)}
+    assert [word for word in LATER_WORDS if word not in words] == []

@@ -86,6 +86,11 @@ def test_a_vacuum_is_an_effecter_with_the_suction_length_of_its_class(load):
     assert effecters_of(robot)[-1].settings.suction_length == 0.125
 
 
+def test_an_ir2_sensor_is_an_ir_sensor(load):
+    robot = of(load("[USARBot.P3AT]\n" + part("IR2Sensor", "Eye")))
+    assert names(robot)[-1] == ("IR", "Eye")
+
+
 def test_a_section_about_a_scanner_keeps_its_other_figures(load):
     """MaxRange and ScanFov of the later versions' SICK; of a second file too, and of a class on it."""
     on_it = "[USARBot.Mine]\nBaseClass=SICK\nResolution=0.1\n[USARBot.P2AT]\n"

@@ -1,5 +1,7 @@
 """The words of the later versions; those that nodes for ROS were written for."""
 
+import math
+
 import pytest
 
 from tests.models.ini.texts import load_texts
@@ -17,6 +19,7 @@ from usarmjx.server.protocol.commands import (
     Init,
     LinkCommand,
     MisPkg,
+    Set,
     SetJoint,
     SetStiffness,
 )
@@ -93,6 +96,34 @@ TOLD = [  # the manual's line, and what is heard instead
         ],
     ),
     ("SEN {Time 1.0000} {Type Battery} {Name battery} {Time 1199.0000}", []),  # Battery.uc, ClientTimer
+    (
+        "SEN {Time 1.0000} {Type Touch} {Name T1 Touch True} {Name T2 Touch False}",
+        [
+            "SEN {Time 1.0000} {Type Touch} {Name T1} {Touch True}",
+            "SEN {Time 1.0000} {Type Touch} {Name T2} {Touch False}",
+        ],
+    ),
+    (
+        "SEN {Time 1.0000} {Type IR} {Name IR1 Range 0.2000}",
+        ["SEN {Time 1.0000} {Type IR} {Name IR1} {Range 0.2000}"],
+    ),
+    (  # RangeScanner.uc
+        "CONF {Type RangeScanner} {Name S} {Resolution 0.0174} {Fov 3.1415} {Paning True} {Tilting False}",
+        ["CONF {Type RangeScanner} {Name S} {Resolution 0.0174} {Fov 3.1415} {Panning True} {Tilting False}"],
+    ),
+    (  # IRScanner.uc
+        "CONF {Type IRScanner} {Name S} {Resolution 0.0174} {Fov 3.1415} {Paning True} {Tilting False}",
+        ["CONF {Type IRScanner} {Name S} {Resolution 0.0174} {Fov 3.1415} {Paning True} {Tilting False}"],
+    ),
+    *(  # in which they are the same
+        (line, [line])
+        for line in (
+            "SEN {Time 1.0000} {Type GPS} {Name G} {Latitude 39,8.0341,N} {Longitude 77,13.0001,W}"
+            " {Fix 1} {Satellites 11}",  # GPSSensor.uc
+            "SEN {Time 1.0000} {Type GPS} {Name G} {Fix 0} {Satellites 3}",
+            "SEN {Time 1.0000} {Type IRScanner} {Name S} {Resolution 0.0174} {FOV 3.1415} {Range 1.0,2.0}",
+        )
+    ),
     ("STA {Type GroundVehicle} {Time 1.00}", ["STA {Type GroundVehicle} {Time 1.00}"]),
     ("SEN {Type Odometry} {Name O} {Pose 1,2,3}", ["SEN {Type Odometry} {Name O} {Pose 1,2,3}"]),
     ("CONF {Type Sonar} {Name F1} {MaxRange 5}", ["CONF {Type Sonar} {Name F1} {MaxRange 5}"]),
@@ -139,6 +170,19 @@ ASKED = [
     ("SET {Type Joint} {Name Arm} {Opcode Angle} {Params 0.5}", SetJoint("Arm", 0, 0.5, None)),
     ("SET {Type Joint} {Name Arm} {Opcode Stiffness} {Params 0.5}", SetStiffness("Arm", 0.5)),
     ("Drive {Left 1.0} {Right 1.0}", DriveRobot((("Left", 1.0), ("Right", 1.0)))),
+    # AerialVehicle.uc: degrees a second, or hundredths of the most
+    ("DRIVE {rotationalvelocity 90}", DriveRobot((("RotationalVelocity", math.pi / 2),))),
+    (
+        "DRIVE {AltitudeVelocity 1} {RotationalVelocity -45} {Normalized false} {PitchAngle 0} {Spin1 9}",
+        DriveRobot((("AltitudeVelocity", 1.0), ("RotationalVelocity", -math.pi / 4))),
+    ),
+    (
+        "DRIVE {RotationalVelocity 90} {Normalized True}",
+        DriveRobot((("RotationalVelocity", 90.0),), normalized=True),
+    ),
+    ("SET {Type Camera} {Name C} {Opcode FOV} {Params 0.5}", Set("Camera", "C", "Zoom", "0.5")),
+    ("SET {Type Camera} {Name C} {Opcode Zoom} {Params 0.5}", Set("Camera", "C", "Zoom", "0.5")),
+    ("SET {Type RangeScanner} {Name S} {Opcode SCAN}", Set("RangeScanner", "S", "SCAN", "")),
 ]
 
 
@@ -182,6 +226,28 @@ def test_a_robot_is_named_by_its_class_and_so_is_the_mount_of_its_items(asked, t
         assert line.startswith(f"{kind} {{Type GroundVehicle}} {{Name {told}}} {{")
 
 
+@pytest.mark.parametrize("name", ["", " {Name Camera}"])
+def test_a_single_camera_has_a_name(name):
+    """Item.uc: CONF of every item begins with it."""
+    told = {}
+    for dialect in (MANUAL, UDK):
+        client = Client(StillWorld(), "A", dialect=dialect)
+        say(client, "INIT {ClassName USARBot.P2AT} {Name R}")
+        (told[dialect.name],) = say(client, f"GETCONF {{Type Camera}}{name}")
+    assert told["manual"].startswith("CONF {Type Camera} {CameraDefFov ")
+    assert told["udk"] == told["manual"].replace("{Type Camera}", "{Type Camera} {Name Camera}")
+
+
+def test_what_is_no_turning_rate_changes_nothing():
+    session = RobotSession(nfo_greeting("DM-Test"), dialect=UDK)
+    session.receive_data(b"INIT {ClassName USARBot.AirRobot} {Name R}\r\n")
+    session.answer_init(True)
+    for turn, normalized in (("fast", ""), ("1e999", ""), ("5", "{Normalized nan}")):
+        line = f"DRIVE {{LinearVelocity 1}} {{RotationalVelocity {turn}}} {normalized}\r\n"
+        assert session.receive_data(line.encode()) == []
+    assert session.fault_count == 3
+
+
 def test_the_manual_knows_none_of_it():
     session = RobotSession(nfo_greeting("DM-Test"))
     (init,) = session.receive_data(b"INIT {Classname USARBot.P3AT} {Name R}\r\n")
@@ -189,6 +255,8 @@ def test_the_manual_knows_none_of_it():
     session.answer_init(True)
     assert session.receive_data(b"ACT {Name Cam} {Link 0} {Value 0.2}\r\n") == []
     assert session.receive_data(b"GETGEO {Type Actuator}\r\n")[0].type == "Actuator"
+    (turn,) = session.receive_data(b"DRIVE {RotationalVelocity 1}\r\n")
+    assert turn == DriveRobot((("RotationalVelocity", 1.0),))
 
 
 @pytest.mark.parametrize("dialect", [MANUAL, UDK])

@@ -531,8 +531,9 @@ class Client:
         if not self.battery_empty:
             robot = self._present
             known = (robot.spec, robot.suite.sensors, robot.fovs)
-            types = self.session.dialect.package_types
-            for message in configuration(*known, command.type, command.name, types):
+            dialect = self.session.dialect
+            asked = (command.type, command.name, dialect.package_types)
+            for message in configuration(*known, *asked, has_camera_names=dialect.has_camera_names):
                 self.session.send(message)
 
     def _control(self, command: wire.Control) -> None:

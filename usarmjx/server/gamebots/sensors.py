@@ -430,10 +430,10 @@ def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
     ]
 
 
-def _camera_configuration(kind: str, cameras: Sequence[tuple[Camera, float]]) -> Message:
-    """Return the CONF of cameras: the manual's has no names, so they are there only where it has several."""
-    several = len(cameras) > 1
-    names: list[list[ConfField]] = [[("Name", one.mount.name)] if several else [] for one, _ in cameras]
+def _camera_configuration(kind: str, cameras: Sequence[tuple[Camera, float]], *, has_names: bool) -> Message:
+    """Return the CONF of cameras: the manual's has no names, so only several are named unless asked."""
+    named = has_names or len(cameras) > 1
+    names: list[list[ConfField]] = [[("Name", one.mount.name)] if named else [] for one, _ in cameras]
     options = [_camera_fields(*one) for one in cameras]
     return conf_items(kind, [[*name, *option] for name, option in zip(names, options, strict=True)])
 
@@ -445,6 +445,8 @@ def configuration(
     kind: str,
     name: str,
     package_types: Set[str] = PACKAGE_TYPES,
+    *,
+    has_camera_names: bool = False,
 ) -> list[Message]:
     """Return the answers to GETCONF, as `geometry` does for GETGEO.
 
@@ -455,6 +457,7 @@ def configuration(
         kind: Type asked for.
         name: Name asked for, "" for all of the type.
         package_types: Types that ask for mission packages, lower case.
+        has_camera_names: Whether a single camera has a name in the answer, too.
     """
     if kind.lower() == "robot":
         return [
@@ -486,7 +489,7 @@ def configuration(
         if _asked(kind, name, camera.mount.kind, camera.mount.name)
     ]
     if cameras:
-        answers.append(_camera_configuration(kind, cameras))
+        answers.append(_camera_configuration(kind, cameras, has_names=has_camera_names))
     effecters = _effecters(robot, kind, name)
     if effecters:
         answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters], kind))

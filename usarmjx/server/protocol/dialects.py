@@ -13,17 +13,22 @@ A dialect stands between lines and commands. `understand` converts a client's me
     SEN {Time 62.0100} {Type IMU} {Name I} {XYZAcceleration 0,0,0} ... Type AHRS; also in GETGEO and GETCONF
     GEO ... {Mount P3AT}                                               Mount HARD: the class that INIT named
     GEO {Type GroundVehicle} {Name P3AT} ..., also in CONF             Name P2AT
+    CONF {Type Camera} {Name Camera} {CameraDefFov 0.8727} ...         a single camera has a name, too
+    CONF {Type RangeScanner} ... {Panning True} {Tilting False}        Paning
+    DRIVE {RotationalVelocity 20}                                      degrees a second, not radians
+    SET {Type Camera} {Name Camera} {Opcode FOV} {Params 0.5}          Opcode Zoom
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
     INIT {ClassName USARBot.WorldController}, CONTROL {Type GetSTA}    a client that moves things
 """
 
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.protocol.grammar import Message, Segment, is_number, to_int
+from usarmjx.server.protocol.grammar import Message, Segment, is_number, to_bool, to_float, to_int
 from usarmjx.server.protocol.reports import VEHICLES
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
@@ -35,12 +40,14 @@ GROUPED_TYPES = ("Sonar", "IR", "Touch", ENCODER_TYPE)
 """Sensor types that share one line in the manual's version."""
 LATER_CLASSES = {"p3at": "P2AT"}
 """Robot classes of the later versions, lower case, and their names here; both dialects take both."""
-GRIPPER_TYPE = "Gripper"
+GRIPPER_TYPE, SCANNER_TYPE = "Gripper", "RangeScanner"
 GRIPPER_OPERATIONS = (
     *(("Opcode", "Grip"), ("MaxVal", "1"), ("MinVal", "0")),
     *(("Opcode", "Close"), ("Opcode", "Open")),
 )
 """CONF of a gripper in UDK's version (Gripper.uc)."""
+LATER_OPCODES = {("joint", "target"): "Angle", ("camera", "fov"): "Zoom"}
+"""Opcodes of SET in UDK's version by type and name in lower case, and their names in the manual's."""
 LINK_KEYS = {"ParentLink": "Parent", "MinRange": "MinValue", "MaxRange": "MaxValue"}
 """Keys of GEO and CONF of packages, and their names in UDK's version."""
 CHASSIS_MOUNT = "HARD"
@@ -62,6 +69,7 @@ class Dialect:
         is_stamped: Whether every reading has its time, regardless of the sensor's setting.
         package_types: Types that ask for mission packages, lower case.
         has_binary_grippers: Whether grippers are open or closed, and report that.
+        has_camera_names: Whether CONF names a single camera, as it names several.
         has_world_controllers: Whether a client may control the world in place of a robot.
         all_joints: Names in SET that mean all joints but wheels, lower case.
         max_connections: Most clients at once, unless a setting says otherwise.
@@ -73,6 +81,7 @@ class Dialect:
     is_stamped: bool = False
     package_types: frozenset[str] = frozenset({PACKAGE_TYPE.lower()})
     has_binary_grippers: bool = False
+    has_camera_names: bool = False
     has_world_controllers: bool = False
     all_joints: frozenset[str] = frozenset()
     max_connections: int = 16
@@ -93,15 +102,22 @@ def _understand_udk(message: Message) -> Message:
         # No package here has a sequence, so it is left out as the later server does (Actuator.uc).
         said = (segment for segment in message.segments if segment[0].lower() != "sequence")
         return Message("MISPKG", tuple(map(_count_from_one, said)))
-    if message.kind == "SET" and message.get("Type").lower() == "joint":
-        return replace(message, segments=tuple(_angle(segment) for segment in message.segments))
+    if message.kind == "SET":
+        opcode = LATER_OPCODES.get((message.get("Type").lower(), message.get("Opcode").lower()))
+        renamed = (
+            (key, opcode if opcode and key.lower() == "opcode" else value) for key, value in message.segments
+        )
+        return replace(message, segments=tuple(renamed))
+    if message.kind == "DRIVE" and not to_bool(message.get("Normalized")):
+        return replace(message, segments=tuple(map(_turn_in_radians, message.segments)))
     return message
 
 
-def _angle(segment: Segment) -> Segment:
-    """Return the manual's opcode of the later versions' Target of a joint."""
+def _turn_in_radians(segment: Segment) -> Segment:
+    """Return the manual's turning rate of a flying robot [rad/s] for the later versions' in degrees."""
     key, value = segment
-    return (key, "Angle") if key.lower() == "opcode" and value.lower() == "target" else segment
+    is_turn = key.lower() == "rotationalvelocity" and is_number(value)
+    return (key, str(math.radians(to_float(value)))) if is_turn else segment
 
 
 def _count_from_one(segment: Segment) -> Segment:
@@ -119,6 +135,8 @@ def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]
         yield replace(message, segments=tuple(_named(message.segments, robot_class)))
     elif message.kind == "CONF" and message.get("Type").lower() == GRIPPER_TYPE.lower():
         yield Message(message.kind, tuple(_binary(message)))
+    elif message.kind == "CONF" and message.get("Type").lower() == SCANNER_TYPE.lower():
+        yield replace(message, segments=tuple(map(_spelled, message.segments)))
     elif message.kind == "SEN" and message.get("Type") == BATTERY_TYPE:
         return  # Battery.uc sends nothing: the time is in STA
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
@@ -130,6 +148,12 @@ def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]
         yield replace(message, segments=tuple(_mounted(segments, robot_class or CHASSIS_MOUNT)))
     else:
         yield message
+
+
+def _spelled(segment: Segment) -> Segment:
+    """Spell a key of CONF of a range scanner as RangeScanner.uc does; IRScanner.uc has the manual's word."""
+    key, value = segment
+    return ("Panning" if key == "Paning" else key, value)
 
 
 def _typed(segments: Iterable[Segment]) -> Iterator[Segment]:
@@ -225,6 +249,7 @@ UDK = Dialect(
     is_stamped=True,
     package_types=frozenset({PACKAGE_TYPE.lower(), ACTUATOR_TYPE.lower()}),
     has_binary_grippers=True,
+    has_camera_names=True,
     has_world_controllers=True,
     all_joints=frozenset({"allangles", "alljoints"}),
     max_connections=64,
