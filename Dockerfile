@@ -32,6 +32,9 @@ ENV NVIDIA_VISIBLE_DEVICES=all NVIDIA_DRIVER_CAPABILITIES=compute,utility
 RUN sh /usarmjx/locks/install.sh cuda
 RUN pip install --no-cache-dir -c /usarmjx/constraints.txt "$(ls /usarmjx/*.whl)[cuda,train]"
 USER robot
+# Compute capabilities of the GPUs whose kernels the image has; on others the first start compiles them.
+ARG GPU_ARCHITECTURES="80 89 90 100"
+RUN JAX_PLATFORMS=cpu python -m usarmjx.cli.gpu_kernels --arena yellow $GPU_ARCHITECTURES
 CMD ["serve", "--arena", "yellow", "--host", "0.0.0.0", "--engine", "warp", "--worlds", "64"]
 
 FROM base AS cpu

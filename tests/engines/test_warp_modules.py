@@ -15,10 +15,20 @@ pytest.importorskip("warp", reason="needs warp-lang")
 import warp
 
 from tests.engines.test_block import MECHANISM
+from usarmjx.base import warp_modules
 from usarmjx.base.warp_functions import once_loaded
-from usarmjx.base.warp_modules import WarpModule, load_side_by_side, modules_of, wait_for_modules
+from usarmjx.base.warp_modules import (
+    WarpModule,
+    block_sizes_of_gpus,
+    compile_for,
+    load_side_by_side,
+    modules_of,
+    wait_for_modules,
+)
+from usarmjx.cli import gpu_kernels
 from usarmjx.engines import mjx_warp
 from usarmjx.engines.base import Inputs
+from usarmjx.engines.block.solver import CLASSES
 from usarmjx.engines.mjx_warp import LaunchReplay, WarpEngine
 from usarmjx.models.compile.physics import Physics
 
@@ -175,3 +185,41 @@ def test_kernels_begin_to_load_before_a_reset_is_compiled_and_once(monkeypatch):
     engine.start()
     engine._step_and_count()
     assert events == [len(engine.modules_of_step()), "compile"]
+
+
+def test_what_is_compiled_for_a_gpu_elsewhere_is_what_a_gpu_looks_for(tmp_path, monkeypatch):
+    """Oracle: Warp's compilation, which a load begins with and which has nothing to do then."""
+    data = warp.zeros(3, dtype=float, device="cpu")
+
+    def run():
+        launch(data, add_one)
+        warp.launch(add_much, dim=3, inputs=[data], device="cpu", block_dim=64)
+
+    def compiles(kernel, size, architecture):
+        options = kernel.module.resolve_options(warp.config, block_dim=size)
+        options |= {"block_dim": size}
+        return kernel.module._compile(output_arch=architecture, use_ptx=False, options=options)
+
+    monkeypatch.setattr(warp.config, "kernel_cache_dir", str(tmp_path))
+    with block_sizes_of_gpus():
+        found = modules_of(run)
+    assert set(found) == {WarpModule(add_one.module, 1), WarpModule(add_much.module, 64)}
+    compile_for(found, [80, 90])
+    usual = 256  # of launches that ask for no size, on a GPU
+    for kernel, size in ((add_one, usual), (add_much, 64)):
+        assert [compiles(kernel, size, known) for known in (80, 90)] == [False, False]
+    assert compiles(add_one, usual, 75), "a GPU of another architecture"
+    assert compiles(add_much, 128, 90), "blocks of another size"
+
+
+def test_kernels_of_a_served_batch_are_compiled_with_the_block_sizes_of_a_gpu(monkeypatch):
+    asked = []
+    monkeypatch.setenv("USARMJX_CACHE", "off")
+    monkeypatch.setattr(warp_modules, "compile_for", lambda *given: asked.append(given))
+    gpu_kernels.main(["--roster", "P2AT:1", "80", "90"])
+    ((modules, architectures),) = asked
+    assert architectures == [80, 90]
+    names = {one.module.name.partition("__")[0] for one in modules}
+    assert {"ccd_kernel_builder", "newton_kernel", "islands_kernel"} <= names
+    sizes = sorted(one.block_dim for one in modules if "newton_kernel" in one.module.name)
+    assert sizes == sorted(one.block for one in CLASSES)

@@ -5,7 +5,7 @@ another. Two of MuJoCo Warp's modules, of its convex collider, take most of the 
 """
 
 import logging
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -108,6 +108,40 @@ def _length(one: WarpModule) -> int:
         _, _, functions = adjoint.get_references()
         left += [function.adj for function in functions if getattr(function, "adj", None) is not None]
     return length
+
+
+@contextmanager
+def block_sizes_of_gpus() -> Generator[None]:
+    """Let launches on a CPU keep the block sizes that they ask for, as on a GPU."""
+    config = import_module("warp").config
+    usual, config.enable_cpu_blocks = config.enable_cpu_blocks, True
+    try:
+        yield
+    finally:
+        config.enable_cpu_blocks = usual
+
+
+def compile_for(modules: Sequence[WarpModule], architectures: Sequence[int]) -> None:
+    """Compile modules into Warp's cache for GPUs, none of which need be here, side by side.
+
+    Args:
+        modules: Found with `block_sizes_of_gpus`; one thread a block means that a launch asks for no size.
+        architectures: Compute capabilities, 90 for 9.0.
+    """
+    sizes = dict[Any, set[int]]()
+    for module, size in modules:
+        sizes.setdefault(module, set()).add(size if size > 1 else module.options["block_dim"])
+    with ThreadPoolExecutor(cores(), "warp module") as pool:
+        for done in [pool.submit(_compile, module, known, architectures) for module, known in sizes.items()]:
+            done.result()
+
+
+def _compile(module: Any, sizes: set[int], architectures: Sequence[int]) -> None:  # noqa: ANN401 - Warp's
+    warp = import_module("warp")
+    for size in sorted(sizes):
+        # The size is among the ingredients of a module's name in the cache.
+        warp.set_module_options({"block_dim": size}, module)
+        warp.compile_aot_module(module, arch=architectures, use_ptx=False)
 
 
 def load_side_by_side(modules: list[WarpModule], device: Any) -> None:  # noqa: ANN401 - Warp's

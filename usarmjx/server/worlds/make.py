@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.files.load import find_arena
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, check_instances
@@ -11,7 +12,7 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.calibration import build_calibrated
-from usarmjx.sim.scene import RosterEntry, build_scene, parse_roster
+from usarmjx.sim.scene import RosterEntry, Scene, build_scene, parse_roster
 
 
 def make_worlds(
@@ -48,10 +49,20 @@ def make_worlds(
         for name in classes:
             made[0].prepare(find_robot(name))
         return [*made]
-    entries = [RosterEntry(robot=name, parked=True) for name in parse_roster(roster)]
-    if not entries:
-        raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")
-    scene = build_scene(arena, entries)
+    scene = parked_scene(arena, roster)
     chosen = choose_engine(engine, "serve")
     shared = SharedBatch(build_calibrated(lambda: Batch(scene, worlds, engine=chosen, seed=seed)))
     return [BatchWorld(shared, instance) for instance in instances]
+
+
+def parked_scene(arena: str, roster: str, physics: Physics | None = None) -> Scene:
+    """Return the scene of a batch whose robots wait for clients.
+
+    Raises:
+        UsageError: No robots, or a roster that does not parse.
+        UnknownNameError: Unknown arena or robot class.
+    """
+    entries = [RosterEntry(robot=name, parked=True) for name in parse_roster(roster)]
+    if not entries:
+        raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")
+    return build_scene(arena, entries, physics)
