@@ -164,7 +164,8 @@ app(["chaos", "--self", "--soak", "600", "--record"])
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.every_run(str(int(signal.SIGTERM)))
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=int)
 def test_its_own_server_ends_with_it(number, tmp_path):
     settings = {"PYTHONPATH": python_path(dev.ROOT), "TMPDIR": str(tmp_path)}
     chaos = subprocess.Popen(

@@ -50,6 +50,7 @@ def two_robots_in_touch(count: int) -> tuple[mujoco.MjModel, list[mujoco.MjData]
     return model, [solve_in_c(model, state) for state in random_states(model, places, count, seed=1)]
 
 
+@pytest.mark.every_run("16-0", "8-12")
 @pytest.mark.parametrize("first", FIRST, ids=lambda one: f"{one.lanes}-{one.dofs}")
 def test_threads_find_what_one_alone_finds(first: SizeClass, monkeypatch: pytest.MonkeyPatch):
     """All islands that fit are of the class that is tested; accelerations are those of one lane."""
