@@ -100,10 +100,12 @@ def spread_starts(arena: ArenaSpec, spacing: float) -> ArenaSpec:
         return arena
     at = np.array([start.at[:2] for start in arena.starts])
     kept: list[int] = []
+    free = np.ones(len(at), bool)
     for i, position in enumerate(at):
-        if all(np.hypot(*(at[j] - position)) >= spacing for j in kept):
+        if free[i]:
             kept.append(i)
-    order = [*kept, *(i for i in range(len(at)) if i not in set(kept))]
+            free &= np.hypot(*(at - position).T) >= spacing
+    order = [*kept, *sorted(set(range(len(at))) - set(kept))]
     return replace(arena, starts=tuple(arena.starts[i] for i in order))
 
 
