@@ -26,7 +26,6 @@ from usarmjx.base.warp_modules import (
     wait_for_modules,
 )
 from usarmjx.cli import gpu_kernels
-from usarmjx.engines import mjx_warp
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.block.solver import CLASSES
 from usarmjx.engines.mjx_warp import LaunchReplay, WarpEngine
@@ -173,18 +172,6 @@ def test_a_step_launches_kernels_of_no_other_modules(physics, cone, monkeypatch)
     assert len(launched) == 1
     assert len(launched[0]) > 10
     assert set(engine.modules_of_step()) == set(launched[0])
-
-
-def test_kernels_begin_to_load_before_a_reset_is_compiled_and_once(monkeypatch):
-    engine, events = engine_of("elliptic", Physics()), []
-    made = engine._make_data
-    monkeypatch.setattr(engine, "_make_data", lambda: (events.append("compile"), made())[1])
-    monkeypatch.setattr(mjx_warp, "load_side_by_side", lambda modules, _: events.append(len(modules)))
-    monkeypatch.setattr(mjx_warp, "_warp_device", lambda: None)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    engine.start()
-    engine._step_and_count()
-    assert events == [len(engine.modules_of_step()), "compile"]
 
 
 def test_what_is_compiled_for_a_gpu_elsewhere_is_what_a_gpu_looks_for(tmp_path, monkeypatch):

@@ -422,12 +422,6 @@ class WarpEngine(MjxEngine):
             njmax=self._row_budget(self.model),
         )
 
-    def start(self) -> mjx.Data:
-        """Return every world in the model's reference configuration; the kernels of a step begin to load."""
-        # XLA compiles the programs of a reset meanwhile.
-        _ = self._loading
-        return super().start()
-
     def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:
         """Step every world by one control step, from cleared overflow bits: Warp only ever sets them."""
         clear = jnp.zeros_like(engine_state._impl.overflow)
@@ -483,27 +477,20 @@ class WarpEngine(MjxEngine):
         if own is not None and jax.default_backend() != "cpu":
             # Streams cannot be made while a graph is captured, which happens at the first step.
             import_module("usarmjx.engines.block.branches").branches_of(_warp_device())  # makes its streams
-        # The state may come from elsewhere than `start`.
-        _ = self._loading
+        if jax.default_backend() != "cpu":
+            self._load_kernels()
         if self._graphs.control_step or jax.default_backend() == "cpu":
             # The number of calls is 1: the substeps are inside.
             return multi_step(count, own), 1
         return super()._step_and_count() if own is None else (multi_step(1, own), count)
 
-    @cached_property
-    def _loading(self) -> list[WarpModule]:
-        """Modules of a step, which begin to load on a GPU when they are first asked for."""
-        # A cached property: a flag would change the digest of programs, see `program_cache`.
-        if jax.default_backend() == "cpu":
-            return []
+    def _load_kernels(self) -> None:
+        """Start to load the kernels of a step; a program that was kept finds them in Warp's cache."""
         try:
-            modules = self.modules_of_step()
-            load_side_by_side(modules, _warp_device())
+            load_side_by_side(self.modules_of_step(), _warp_device())
         # Only time is lost: the first launch loads what is missing.
         except Exception as error:
             LOGGER.warning("kernels are compiled one after another: %r", error)
-            return []
-        return modules
 
     def modules_of_step(self) -> list[WarpModule]:
         """Return the modules of the kernels that a physics step launches, those with most code first."""
