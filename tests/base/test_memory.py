@@ -69,6 +69,37 @@ def test_large_blocks_stay_out_of_the_heap_after_larger_ones_were_freed(how, siz
     assert int(ran.stdout) == maps
 
 
+FAULTS = """
+import ctypes, resource
+from usarmjx.base.process import limit_fragmentation
+
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.free.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+assert limit_fragmentation()
+for number in range(101):
+    blocks = [libc.malloc(200_000) for _ in range(5)]
+    for block in blocks:
+        ctypes.memset(block, 1, 200_000)
+    for block in blocks:
+        libc.free(block)
+    if not number:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+BLOCK_PAGES = 5 * 200_000 // 4096
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library has no such threshold")
+def test_pages_of_arrays_that_are_freed_in_each_step_stay():
+    environment = {name: value for name, value in os.environ.items() if name not in MALLOC_VARIABLES}
+    ran = subprocess.run(
+        [sys.executable, "-c", FAULTS], env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert ran.returncode == 0, ran.stderr
+    # A hundred rounds with fewer new pages than one round has.
+    assert int(ran.stdout) < BLOCK_PAGES
+
+
 @pytest.mark.parametrize("name", MALLOC_VARIABLES)
 def test_settings_of_the_user_stay(name):
     assert not limit_fragmentation({name: "1"})
