@@ -12,6 +12,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.handy import GRIPPER, TAGGER, known
 from tests.server import peers
+from tests.transcripts import strict
 from usarmjx.base.settings import SHARE, Parameters
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import EFFECTERS, effecters_of
@@ -19,7 +20,8 @@ from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount
 from usarmjx.sensors.suite import SENSORS
 from usarmjx.server.gamebots.adapter import Client
-from usarmjx.server.protocol.grammar import parse_message
+from usarmjx.server.protocol.dialects import UDK
+from usarmjx.server.protocol.grammar import format_message, parse_message
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 CAMERA = P2AT.cameras[0]
@@ -159,3 +161,37 @@ def test_what_is_there_tells_more_than_an_echo_and_what_is_not_does_not(client, 
 def test_of_several_each_is_named(client, kind, names, ask):
     (line,) = say(client, f"{ask} {{Type {kind}}}")
     assert [value.split()[0] for value in parse_message(line).all("Name")] == list(names)
+
+
+def readings(client, seconds):
+    """Lines of a client's reports while its world goes on."""
+    world, lines = client._world, []
+    client.session.data_to_send()
+    for _ in range(round(seconds / world.period)):
+        world.step()
+        if client.due():
+            world.observe([client.robot])
+            client.report()
+        lines += client.session.data_to_send().decode().splitlines()
+    return lines
+
+
+def test_messages_of_every_type_are_pairs_in_both_ages(client):
+    """Manual 9.2: a segment is name/value pairs; the later versions have one pair in a segment."""
+    releaser = name_of("RFIDReleaser")
+    (released,) = say(client, f"SET {{Type RFIDReleaser}} {{Name {releaser}}} {{Opcode Release}}")
+    assert released.endswith("{Status OK}")
+    say(client, "SET {Type Kinect} {Name Kinect1} {Opcode SCAN}")
+    lines = readings(client, 2.0)
+    types = {parse_message(line).get("Type") for line in lines if line.startswith("SEN")}
+    assert types >= set(OF_SENSORS)
+    for ask in ("GETGEO", "GETCONF"):
+        lines += [
+            line
+            for kind in (*TYPES, "MisPkg", "Actuator", "Robot")
+            for line in say(client, f"{ask} {{Type {kind}}}")
+        ]
+    for line in lines:
+        strict.parse(line, strict.MANUAL)
+        for later in UDK.translate(parse_message(line), "P3AT"):
+            strict.parse(format_message(later), strict.LATER)

@@ -12,6 +12,10 @@ LINE = re.compile(r"([A-Z]+)((?: \{[^{}]+\})*)")
 KEY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 WORD = re.compile(r"[!-z|~]+")
 NUMBER = re.compile(r"-?[0-9]+(?:\.[0-9]+)?")
+COORDINATE = re.compile(r"[0-9]{1,3},[0-9]{1,2}\.[0-9]+,[NSEW]")
+"""Degrees, minutes and direction of a GPS (10.13)."""
+LISTS_OF_POINTS = {"Points": re.compile(r"(?:\[[^][]+\])+|[^;]+(?:;[^;]+)*")}
+"""Keys of the later versions with points, in brackets or between semicolons."""
 TYPES = {
     MANUAL: {"NFO", "STA", "SEN", "MISSTA", "GEO", "CONF", "RES", "DRIVE"},
     LATER: {"NFO", "STA", "SEN", "ASTA", "EFF", "GEO", "CONF", "RES"},
@@ -51,6 +55,15 @@ def check(key, value):
     """Refuse a name that is none, and lists with gaps or numbers that are none."""
     if KEY.fullmatch(key) is None:
         raise NotStrictError(f"{key!r} is no name")
+    if key in ("Latitude", "Longitude"):
+        if COORDINATE.fullmatch(value) is None:
+            raise NotStrictError(f"{key} is no coordinate: {value!r}")
+        return
+    if key in LISTS_OF_POINTS and LISTS_OF_POINTS[key].fullmatch(value):
+        points = re.findall(r"[^][;]+", value)
+        if not all(is_list(point, 3) for point in points):
+            raise NotStrictError(f"{key} has a point that is none: {value!r}")
+        return
     parts = value.split(",")
     if "" in parts or value.lower() in ("nan", "inf", "-inf", "none"):
         raise NotStrictError(f"{key} has the value {value!r}")
