@@ -199,9 +199,8 @@ def test_what_is_compiled_for_a_gpu_elsewhere_is_what_a_gpu_looks_for(tmp_path, 
     assert compiles(add_much, 128, 90), "blocks of another size"
 
 
-def test_kernels_of_a_served_batch_are_compiled_with_the_block_sizes_of_a_gpu(monkeypatch):
+def test_kernels_of_a_served_batch_are_compiled_with_the_block_sizes_of_a_gpu(monkeypatch, capsys):
     asked = []
-    monkeypatch.setenv("USARMJX_CACHE", "off")
     monkeypatch.setattr(warp_modules, "compile_for", lambda *given: asked.append(given))
     gpu_kernels.main(["--roster", "P2AT:1", "80", "90"])
     ((modules, architectures),) = asked
@@ -210,3 +209,6 @@ def test_kernels_of_a_served_batch_are_compiled_with_the_block_sizes_of_a_gpu(mo
     assert {"ccd_kernel_builder", "newton_kernel", "islands_kernel"} <= names
     sizes = sorted(one.block_dim for one in modules if "newton_kernel" in one.module.name)
     assert sizes == sorted(one.block for one in CLASSES)
+    assert f"{len(modules)} modules" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="unknown robot 'P2AX'"):
+        gpu_kernels.main(["--roster", "P2AX:1", "90"])

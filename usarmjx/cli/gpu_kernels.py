@@ -8,7 +8,8 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
-from usarmjx.base.compilation import enable_compilation_cache
+from usarmjx.base.errors import UsarmjxError, one_line
+from usarmjx.cli.common import announce, say
 from usarmjx.cli.serve import WorldsOptions
 
 if TYPE_CHECKING:
@@ -25,20 +26,19 @@ def read_options(words: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Compile the kernels of a served batch.
-
-    Raises:
-        UsageError: A roster that does not parse.
-        UnknownNameError: Unknown arena or robot class.
-        EngineError: Warp is not installed.
-    """
+    """Compile the kernels of a served batch, or exit with a line that says why not."""
     options = read_options(words)
-    enable_compilation_cache()  # before Warp is imported
+    known = ", ".join(f"{one / 10:.1f}" for one in options.architectures)
+    announce(f"compiling kernels for compute capability {known} ...", engines=("warp",))  # before JAX
     from usarmjx.base.warp_modules import block_sizes_of_gpus, compile_for
 
-    with block_sizes_of_gpus():
-        modules = served_engine(options.arena, options.roster).modules_of_step()
+    try:
+        with block_sizes_of_gpus():
+            modules = served_engine(options.arena, options.roster).modules_of_step()
+    except UsarmjxError as error:
+        raise SystemExit(f"usarmjx: {one_line(str(error))}") from error
     compile_for(modules, options.architectures)
+    say(f"{len(modules)} modules of kernels are kept")
 
 
 def served_engine(arena: str, roster: str) -> "WarpEngine":
