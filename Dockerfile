@@ -34,7 +34,7 @@ RUN pip install --no-cache-dir -c /usarmjx/constraints.txt "$(ls /usarmjx/*.whl)
 USER robot
 # Compute capabilities of the GPUs whose kernels the image has; on others the first start compiles them.
 ARG GPU_ARCHITECTURES="80 89 90 100"
-RUN JAX_PLATFORMS=cpu python -m usarmjx.cli.gpu_kernels --arena yellow $GPU_ARCHITECTURES
+RUN JAX_PLATFORMS=cpu usarmjx kernels --arena yellow $GPU_ARCHITECTURES
 CMD ["serve", "--arena", "yellow", "--host", "0.0.0.0", "--engine", "warp", "--worlds", "64"]
 
 FROM base AS cpu

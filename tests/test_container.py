@@ -13,7 +13,8 @@ import dev
 import usarmjx
 from tests.test_docs import command_problem
 from tools import trial
-from usarmjx.cli import gpu_kernels
+from usarmjx.cli.app import app
+from usarmjx.cli.listing import commands_of
 from usarmjx.cli.serve import WorldsOptions
 from usarmjx.server.network import ports
 
@@ -54,14 +55,15 @@ def test_what_the_container_runs_and_opens_exists():
 
 def test_the_gpu_image_has_the_kernels_of_what_it_serves():
     """Of the arena of its command, and of the robots and of the GPUs that its build names."""
-    (line,) = re.findall(rf"^RUN JAX_PLATFORMS=cpu python -m {gpu_kernels.__name__} (.*)", DOCKERFILE, re.M)
+    (line,) = re.findall(r"^RUN JAX_PLATFORMS=cpu usarmjx kernels (.*)", DOCKERFILE, re.M)
     (default,) = re.findall(r'^ARG GPU_ARCHITECTURES="(.*)"', DOCKERFILE, re.M)
-    options = gpu_kernels.read_options(line.replace("$GPU_ARCHITECTURES", default).split())
+    command = dict(commands_of(app))["kernels"]
+    options = command.make_context("kernels", line.replace("$GPU_ARCHITECTURES", default).split()).params
     served = next(json.loads(line) for line in re.findall(r"^CMD (.*)", DOCKERFILE, re.M) if "warp" in line)
-    assert options.arena == served[served.index("--arena") + 1]
+    assert options["arena"] == served[served.index("--arena") + 1]
     assert "--roster" not in served
-    assert options.roster == WorldsOptions.roster
-    assert options.architectures == [80, 89, 90, 100]
+    assert options["roster"] == WorldsOptions.roster
+    assert options["architectures"] == [80, 89, 90, 100]
 
 
 def test_the_containers_python_is_one_that_we_name_and_has_a_pin_of_all_that_we_need():

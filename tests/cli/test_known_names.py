@@ -66,6 +66,8 @@ WRONG = {
     ("eval", "robot"): ("eval explore-v1 --robot {}", ROBOT),
     ("eval", "task"): ("eval explore-v1 --task {}", TASK),
     ("export", "run"): ("export {} --out x.npz", POLICY),
+    ("kernels", "arena"): ("kernels 90 --arena {}", ARENA),
+    ("kernels", "roster"): ("kernels 90 --roster {}:2", ROBOT),
     ("play", "agent"): ("play --task explore-v1 --agent {}", ("zreo", "'zero'")),
     ("play", "baseline"): ("play --baseline {}", TASK),
     ("play", "engine"): ("play explore-v1 --engine {}", ENGINE),

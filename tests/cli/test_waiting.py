@@ -41,6 +41,7 @@ COMMANDS = (
     "suite show x",
     "suite leaderboard x",
     "suite replay x.json",
+    "kernels 90",
     "bench radio",
     "bench rays",
     "bench camera",

@@ -162,6 +162,10 @@ COMMANDS = {
         "usarmjx.cli.calibrate:calibrate",
         "Measure the responses of robots to their motors, for engine planar, and its remaining errors.",
     ),
+    "kernels": (
+        "usarmjx.cli.kernels:kernels",
+        "Compile kernels of engine warp into the cache, for GPUs that are elsewhere.",
+    ),
     "bench": ("benchmarks.commands:app", "Measure the speed of this machine."),
     "chaos": (
         "benchmarks.chaos.command:chaos",
@@ -176,7 +180,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "Serve": ("serve", "console"),
     "Look": ("play", "view", "film", "plot", "replay"),
     "Arenas and robots": ("arena", "robot", "portraits", "radio-map", "calibrate"),
-    "Maintenance": ("bench", "chaos"),
+    "Maintenance": ("kernels", "bench", "chaos"),
 }
 """Headings of the help, each with its commands."""
 EXAMPLES: Mapping[str, str] = {
@@ -203,6 +207,7 @@ EXAMPLES: Mapping[str, str] = {
     "portraits": "usarmjx portraits --out robots.png",
     "radio-map": "usarmjx radio-map yellow --out map.png",
     "calibrate": "usarmjx calibrate P2AT",
+    "kernels": "usarmjx kernels 80 90",
     "bench": "usarmjx bench step --help",
     "chaos": "usarmjx chaos --help",
 }

@@ -43,6 +43,14 @@ if TYPE_CHECKING:
     from usarmjx.server.worlds.served_world import ServedWorld
 
 
+RosterOption = Annotated[
+    str,
+    typer.Option(
+        help="Robots that wait for clients, as P2AT:4,P2DX:2 or cart.urdf:2; engine c takes others too."
+    ),
+]
+
+
 @dataclass(frozen=True, kw_only=True)
 class WorldsOptions:
     """Worlds, and those of them that are served; each field is an option."""
@@ -57,12 +65,7 @@ class WorldsOptions:
     instances: Annotated[
         str | None, typer.Option(help="Which of them to serve, if several: all, or numbers as 0,2-5.")
     ] = None
-    roster: Annotated[
-        str,
-        typer.Option(
-            help="Robots that wait for clients, as P2AT:4,P2DX:2 or cart.urdf:2; engine c takes others too."
-        ),
-    ] = "P2AT:4,P2DX:4"
+    roster: RosterOption = "P2AT:4,P2DX:4"
     seats: Annotated[
         int | None, typer.Option(min=1, help="Most robots in one world; else as many as connections.")
     ] = None
