@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from usarmjx.models.arenas.pieces import CELL, WALL_RGBA, WOOD, block, cell_center, deck, span, step_field
 from usarmjx.models.compile.victims import rest_height
-from usarmjx.models.types.arena import START_ELEVATION, HelpSound, Light, StartPose, Victim
+from usarmjx.models.types.arena import START_ELEVATION, HelpSound, Light, StartPose, Victim, start_tag
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 HOLE = 0.15
@@ -179,7 +179,7 @@ class Hall:
         cells = [(column, row) for row in rows for column in range(self.first)]
         cells += [(self.last, row) for row in behind]
         return tuple(
-            StartPose(tag=f"Start{i}" if i else "PlayerStart", at=(x + OFF_THE_WALL, y, START_ELEVATION))
+            StartPose(tag=start_tag(i), at=(x + OFF_THE_WALL, y, START_ELEVATION))
             for i, (x, y) in enumerate(self.at(*cell) for cell in cells)
         )
 

@@ -48,6 +48,7 @@ from usarmjx.models.types.arena import (
     StartPose,
     Tag,
     Victim,
+    start_tag,
 )
 from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, Shape
 
@@ -257,7 +258,7 @@ YELLOW_2025 = ArenaSpec(
         PANELLED,
     ),
     starts=tuple(
-        StartPose(tag=f"Start{i}" if i else "PlayerStart", at=(*_hall_cell(*cell), START_ELEVATION))
+        StartPose(tag=start_tag(i), at=(*_hall_cell(*cell), START_ELEVATION))
         for i, cell in enumerate(HALL_STARTS)
     ),
     extent=((0.0, EAST), (0.0, NORTH)),

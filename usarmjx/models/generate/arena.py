@@ -63,6 +63,7 @@ from usarmjx.models.types.arena import (
     StartPose,
     Tag,
     Victim,
+    start_tag,
 )
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
@@ -328,8 +329,9 @@ def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
         toward = builder.plan.tree[cell][0] if builder.plan.tree[cell] else (cell[0] + 1, cell[1])
         # Quarter turns from -1 to 2, so that the yaw lies within half a turn to each side.
         yaw = (DIRECTIONS.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
-        tag = f"Start{number}" if number else "PlayerStart"
-        builder.starts.append(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2))
+        builder.starts.append(
+            StartPose(tag=start_tag(number), at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2)
+        )
 
 
 def place_obstacles(builder: ArenaBuilder) -> None:

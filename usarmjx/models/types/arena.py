@@ -69,6 +69,15 @@ START_ELEVATION = 0.188
 """Height of a start pose above the ground under it [m] (manual 5.3.5)."""
 
 
+def start_tag(number: int) -> str:
+    """Return the tag of a start pose: the first of an arena is PlayerStart, as in any map (manual 5.3.2).
+
+    Args:
+        number: Its number, from 0.
+    """
+    return f"Start{number}" if number else "PlayerStart"
+
+
 @dataclass(frozen=True, kw_only=True)
 class StartPose:
     """A named start pose (manual 5.3.2).

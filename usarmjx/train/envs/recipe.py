@@ -18,7 +18,7 @@ from usarmjx.models.compile.reachability import RobotFootprint
 from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.kinds import DEFAULT_STARTS
-from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, start_tag
 from usarmjx.models.types.robot import Mount, RobotSpec
 
 GENERATED = "DM-"
@@ -266,7 +266,7 @@ def open_floor(side: float = FLOOR_SIDE, starts: int = FLOOR_STARTS, seed: int =
                 break
         positions.append(position)
     poses = [
-        StartPose(tag=f"Start{i}", at=(float(x), float(y), START_ELEVATION), yaw=float(yaw))
+        StartPose(tag=start_tag(i), at=(float(x), float(y), START_ELEVATION), yaw=float(yaw))
         for i, ((x, y), yaw) in enumerate(
             zip(positions, draw.uniform(-np.pi, np.pi, starts).round(3), strict=True)
         )

@@ -17,7 +17,7 @@ from usarmjx.models.arenas.arda import NETWORK
 from usarmjx.models.drives import Ackermann
 from usarmjx.models.roads.network import LatLon, RouteNetwork
 from usarmjx.models.roads.shapes import lane_path, lane_width
-from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, start_tag
 from usarmjx.models.types.robot import Mount, RobotSpec, options
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
@@ -241,7 +241,7 @@ class Convoy(Task):
             along = jnp.float32(10.0 + self.spacing * (self.count - i))
             (x, y), yaw = np.asarray(self.path.position(along)), float(self.path.heading(along))
             at = (float(x), float(y), START_ELEVATION)
-            starts.append(StartPose(tag=f"Convoy{i + 1}", at=at, yaw=yaw))
+            starts.append(StartPose(tag=start_tag(i), at=at, yaw=yaw))
         return replace(self._arena, starts=tuple(starts))
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:

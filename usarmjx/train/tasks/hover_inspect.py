@@ -13,7 +13,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.arenas.pieces import block
 from usarmjx.models.drives import RotaryWing
-from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, start_tag
 from usarmjx.models.types.robot import Mount, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.actions import Actions
@@ -158,7 +158,7 @@ class HoverInspect(Task):
             about="Rooms in a row with windows between them.",
             shapes=tuple(walls),
             starts=tuple(
-                StartPose(tag=f"Start{i}", at=(float(x), float(y), START_ELEVATION), yaw=float(yaw))
+                StartPose(tag=start_tag(i), at=(float(x), float(y), START_ELEVATION), yaw=float(yaw))
                 for i, (x, y, yaw) in enumerate(places)
             ),
             extent=((-LONG / 2 - 0.5, last + 0.5), (-side - 0.5, side + 0.5)),

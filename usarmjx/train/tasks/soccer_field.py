@@ -28,7 +28,7 @@ from usarmjx.models.arenas.soccer import (
     SOCCER,
 )
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, start_tag
 from usarmjx.models.types.robot import Mount, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 from usarmjx.train.tasks.equip import GROUND_TRUTH
@@ -95,7 +95,8 @@ def _starts() -> tuple[StartPose, ...]:
             poses.append((float(x), float(y), float(yaw)))
     poses += [(-x, -y, yaw + np.pi) for x, y, yaw in poses]
     return tuple(
-        StartPose(tag=f"Start{i}", at=(x, y, START_ELEVATION), yaw=yaw) for i, (x, y, yaw) in enumerate(poses)
+        StartPose(tag=start_tag(i), at=(x, y, START_ELEVATION), yaw=yaw)
+        for i, (x, y, yaw) in enumerate(poses)
     )
 
 

@@ -13,7 +13,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import ENCODER_AXIS
-from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, start_tag
 from usarmjx.models.types.robot import Mount, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.actions import Actions, JointAction
@@ -169,7 +169,7 @@ class Stairs(Task):
         draw = np.random.default_rng(self.seed)
         places = draw.uniform((-1.0, -0.1, -0.15), (-0.6, 0.1, 0.15), (STARTS, 3)).round(3)
         starts = [
-            StartPose(tag=f"Start{i}", at=(float(x) - front, float(y), START_ELEVATION), yaw=float(yaw))
+            StartPose(tag=start_tag(i), at=(float(x) - front, float(y), START_ELEVATION), yaw=float(yaw))
             for i, (x, y, yaw) in enumerate(places)
         ]
         return ArenaSpec(
