@@ -254,8 +254,12 @@ def chooser(name: str, task_name: str, task: GoalTeam) -> Chooser:
         policy = NumpyPolicy(POLICIES.get(task_name) if name == "packaged" else name)
         group = policy.group(MEMBER)
         has = policy.groups[group]["action_size"]
-        if has != task.choices:
-            raise UsageError(f"{name} has {has} choices, but --actions {task.actions} has {task.choices}")
+        if (has, policy.vectors[group]) != (task.action_size, task.vector):
+            has, wanted = (
+                f"{size - vector.size} choices" + (f" and {vector.size} floats" if vector.size else "")
+                for size, vector in ((has, policy.vectors[group]), (task.action_size, task.vector))
+            )
+            raise UsageError(f"{name} has {has}, but --actions {task.actions} has {wanted}")
         return lambda seen: policy.act(group, seen, policy.initial_carry(group, len(seen)))[0]
     env: Any = SimpleNamespace(name=task_name, task=task)
     act, key = jax.jit(planner(env).act), jax.random.key(0)
@@ -276,6 +280,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=4, help="robots")
     parser.add_argument("--actions", default="goals", help="goals, or goals+message: as the policy chooses")
     parser.add_argument("--byte-rate", type=float, help="bytes a second that a robot may send")
+    parser.add_argument("--message-floats", type=int, default=0, help="numbers of a vector in a message")
     parser.add_argument(
         "--site", type=corners, default="0,0,38.4,28.8", help="x0,y0,x1,y1, y to the left [m]"
     )
@@ -285,7 +290,7 @@ def main() -> int:
     parser.add_argument("--wss-port", type=int, default=5874)
     options = parser.parse_args()
     try:
-        own = {"count": options.count, "actions": options.actions, "byte_rate": options.byte_rate}
+        own = {name: getattr(options, name) for name in ("count", "actions", "byte_rate", "message_floats")}
         task = make_task(options.task, **own)
         if not isinstance(task, GoalTeam):
             raise UsageError(f"robots of {options.task} choose no goals")

@@ -13,7 +13,8 @@ import dev
 from usarmjx.base.errors import MissingExtraError, UsageError, extra
 from usarmjx.base.installation import install_command
 from usarmjx.train.envs.env import AgentGroup
-from usarmjx.train.learning.networks import LearnedPolicy, mode_action
+from usarmjx.train.learning.distributions import mode_action
+from usarmjx.train.learning.networks import LearnedPolicy
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.export import export_run
 from usarmjx.train.policies.policy_file import NumpyPolicy

@@ -98,6 +98,8 @@ class Team:
         self.obs_size = self.widest + (len(self.groups) if len(self.groups) > 1 else 0)
         self.action_size = max(group.action_size for group in self.groups)
         self.chooses = any(group.discrete for group in self.groups)
+        if any(group.vector.size for group in self.groups):
+            raise SystemExit("--task: agents send vectors beside their choices, use usarmjx train")
         if self.chooses and len(self.groups) > 1:
             raise SystemExit("--task: agents that choose goals are of one class here")
 

@@ -1,4 +1,7 @@
-"""A toy of robots that choose one of a set; what to choose has a closed form."""
+"""Toys of robots that choose one of a set, and of robots that tell each other what to choose.
+
+What to choose has a closed form.
+"""
 
 from dataclasses import replace
 
@@ -6,8 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from tests.train.toys import Toy
-from usarmjx.train.envs.layout import ObservationLayout
+from usarmjx.train.envs.layout import ActionVector, ObservationLayout
 from usarmjx.train.envs.state import AgentGroup
+from usarmjx.train.tasks.learned_vectors import LEVELS, quantised
 
 CHOICES = 5
 PLAIN = ObservationLayout(own=1, others=(2, 2), choices=(CHOICES, 2), kinds=(0, 1, 1, 1, 1))
@@ -54,3 +58,41 @@ class ChoiceToy(Toy):
         right = (actions[0].argmax(-1) == best).astype(jnp.float32)
         no = jnp.zeros((), bool)
         return x, (right,), no, right.mean(), no
+
+
+SECRETS = 2
+TALK = ObservationLayout(own=SECRETS, others=(1, 2), choices=(SECRETS + 2, 1), kinds=(*range(SECRETS), 3, 4))
+"""Own secret; the other robot: whether there is one, and what came; secrets to name, silence, to speak."""
+
+
+class WhisperToy(Toy):
+    """Two robots are to name each other's secret, one of two, of which nothing but a vector can tell.
+
+    In the first step they may stay silent or send a number, as robots of `learned_vectors` do, in the second
+    they name a secret. Deaf robots hear 0: nobody is right in more than half. Score: the share that is right.
+    """
+
+    name, episode_steps, privileged_size = "whisper-toy", 2, 2
+    groups = (AgentGroup("A", ("a0", "a1"), TALK.size, SECRETS + 3, True, TALK, ActionVector(1, 1)),)
+
+    def __init__(self, *args, deaf=False, **more):
+        self.deaf = deaf
+        super().__init__(*args, **more)
+
+    def start(self, key):
+        return {"secret": jax.random.randint(key, (2,), 0, SECRETS), "heard": jnp.zeros(2)}
+
+    def see(self, x, time):
+        own, other = jax.nn.one_hot(x["secret"], SECRETS), jnp.stack([jnp.ones(2), x["heard"] / LEVELS], -1)
+        names = jnp.broadcast_to(time > 0, (2, SECRETS))
+        there = jnp.concatenate([names, jnp.broadcast_to(time == 0, (2, 2))], -1)
+        return (jnp.concatenate([own, other, jnp.zeros((2, SECRETS + 2)), there], -1),), x["secret"] / SECRETS
+
+    def go(self, x, time, actions):
+        choice, number = actions[0][:, :-1].argmax(-1), actions[0][:, -1]
+        speaks = (choice == SECRETS + 1) & (time == 0) & (not self.deaf)
+        right = ((choice == x["secret"][::-1]) & (time == 1)).astype(jnp.float32)
+        heard = jnp.where(speaks, quantised(number), 0.0)[::-1]
+        team = jnp.broadcast_to(right.mean(), (2,))
+        no = jnp.zeros((), bool)
+        return {**x, "heard": heard}, (team,), no, right.mean(), no

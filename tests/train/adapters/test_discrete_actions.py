@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.train.choice_toys import CHOICES, ChoiceToy
+from tests.train.choice_toys import CHOICES, ChoiceToy, WhisperToy
 from tests.train.toys import LineToy, group
 from usarmjx.base.errors import UsageError
 from usarmjx.train.adapters.agents import ActionGrid, action_grids, own_keywords
@@ -163,6 +163,22 @@ def test_jaxmarl_agents_choose_among_the_goals_that_are_there():
     after, _, rewards, _, _ = manager.batch_step(jax.random.key(4), states, drawn)
     assert after["a0"].shape == (3, ChoiceToy(worlds=1).groups[0].obs_size + 2)
     assert rewards["__all__"].shape == (3,)
+
+
+def test_choices_with_a_vector_are_continuous_actions_only():
+    """A number for each choice, then the vector's, which is always available."""
+    pytest.importorskip("jaxmarl", reason="needs the extra rl")
+    from jaxmarl.environments.spaces import Box
+
+    from usarmjx.train.adapters.jaxmarl import MultiAgentWorld
+
+    with pytest.raises(UsageError, match="of A are choices and a vector of 1 numbers, not discrete: take"):
+        MultiAgentWorld(WhisperToy(worlds=1), actions="discrete")
+    world = MultiAgentWorld(WhisperToy(worlds=1))
+    assert isinstance(world.action_space("a0"), Box)
+    obs, state = world.reset(jax.random.key(1))
+    for name, mask in world.get_avail_actions(state).items():
+        assert mask.tolist() == [*(obs[name][-world.env.groups[0].choices :] > 0.5), True]
 
 
 def test_jaxmarl_makes_tasks_by_name(made):

@@ -1,18 +1,26 @@
 """Networks over sets: order and what is not there do not matter, files act as JAX, toys are learned."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.train.choice_toys import CHOICES, PICTURED, PLAIN, ChoiceToy
+from tests.train.choice_toys import CHOICES, PICTURED, PLAIN, ChoiceToy, WhisperToy
 from usarmjx.base.errors import UsageError
-from usarmjx.train.envs.layout import ObservationLayout, layout_from_record, layout_record
+from usarmjx.train.envs.layout import (
+    ActionVector,
+    ObservationLayout,
+    layout_from_record,
+    layout_record,
+    vector_from_record,
+)
 from usarmjx.train.envs.state import AgentGroup
 from usarmjx.train.evaluation.evaluate import evaluate_episodes
 from usarmjx.train.learning.checkpoint import read_policy
-from usarmjx.train.learning.config import Config, EnvArguments, make_record
+from usarmjx.train.learning.config import Config, EnvArguments, load_record, make_record
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams, shared_scale
 from usarmjx.train.learning.trainer import train
 from usarmjx.train.policies.policy_file import NumpyPolicy, save_policy
@@ -23,14 +31,21 @@ GROUP = AgentGroup("P2AT", ("a", "b"), LAYOUT.size, 6, True, LAYOUT)
 SAME = 1e-5
 
 
-def policy_of(kind, layers=(16, 8, 12)):
+SPEAKING = replace(GROUP, action_size=9, vector=ActionVector(3, 2))
+"""With the last two choices a vector of three numbers is sent."""
+
+
+def policy_of(kind, layers=(16, 8, 12), group=GROUP):
     """A policy of a kind with random weights and statistics."""
-    policy = LearnedPolicy((GROUP,), layers, kind=kind)
-    draw = np.random.default_rng(3)
-    weights = jax.tree.map(
-        lambda leaf: leaf + 0.2 * draw.normal(size=leaf.shape).astype(np.float32),
-        jax.jit(policy.init)(jax.random.key(1)),
-    )
+    policy = LearnedPolicy((group,), layers, kind=kind)
+    draw, other = np.random.default_rng(3), np.random.default_rng(9)
+
+    def moved(path, leaf):
+        # The same weights with a vector and without, but for the vector's own.
+        own = other if "vector" in jax.tree_util.keystr(path) else draw
+        return leaf + 0.2 * own.normal(size=leaf.shape).astype(np.float32)
+
+    weights = jax.tree_util.tree_map_with_path(moved, jax.jit(policy.init)(jax.random.key(1)))
     mean = jnp.asarray(0.3 * draw.normal(size=LAYOUT.size), jnp.float32)
     std = jnp.asarray(0.5 + draw.random(LAYOUT.size), jnp.float32)
     return policy, PolicyParams(weights=weights, mean=(mean,), std=(std,))
@@ -117,31 +132,41 @@ def test_a_set_has_one_mean_and_deviation_those_of_all_its_things():
 
 
 class Recorded:
-    name, groups, privileged_size, episode_steps, period = "recorded", (GROUP,), 0, 10, 0.2
+    name, privileged_size, episode_steps, period = "recorded", 0, 10, 0.2
+
+    def __init__(self, group):
+        self.groups = (group,)
 
 
 @pytest.mark.oracle
-@pytest.mark.parametrize("kind", ["set", "cnn"])
-def test_files_act_as_jax_does(kind, tmp_path):
+@pytest.mark.parametrize("group", [GROUP, SPEAKING], ids=["choices", "vector"])
+@pytest.mark.parametrize("kind", ["mlp", "set", "cnn"])
+def test_files_act_as_jax_does(kind, group, tmp_path):
     """In NumPy, in JAX from the file, and in ONNX Runtime."""
-    policy, params = policy_of(kind)
+    policy, params = policy_of(kind, group=group)
     config = Config(num_worlds=4, network=kind, hidden_sizes=policy.layers)
     file, obs = tmp_path / "policy.npz", observations(50)
-    save_policy(file, policy, params, make_record(Recorded(), config, 1, EnvArguments("c", {})))
+    record = make_record(Recorded(group), config, 1, EnvArguments("c", {}))
+    save_policy(file, policy, params, record)
+    record.save(tmp_path)
+    assert load_record(tmp_path).groups == (group,)
     held = NumpyPolicy(file)
     wanted, _ = policy.act(params, (jnp.asarray(obs),), policy.initial_carry(50), deterministic=True)
     found, _ = held.act(0, obs, held.initial_carry(0, 50, 2))
-    assert (found == np.asarray(wanted[0])).all()
-    assert len(set(found.argmax(-1).ravel())) > 3
+    assert (found[..., :6] == np.asarray(wanted[0])[..., :6]).all()
+    assert_allclose(found[..., 6:], wanted[0][..., 6:], atol=SAME)
+    assert len(set(found[..., :6].argmax(-1).ravel())) > 3
 
     learned, loaded = load_exported(file).learned
     assert_allclose(logits_of(learned, loaded, obs), logits_of(policy, params, obs), atol=SAME)
-    from usarmjx.train.policies.set_forward import NumpyOperations, set_outputs
+    if kind != "mlp":
+        from usarmjx.train.policies.set_forward import NumpyOperations, set_outputs
 
-    seen = np.asarray(policy.normalised(0, params.mean[0], params.std[0], jnp.asarray(obs)))
-    numbers = set_outputs(NumpyOperations(), held.weights[0], held.layers, LAYOUT, seen)
-    there = obs[..., LAYOUT.mask_span.first :] > 0.5
-    assert_allclose(numbers[there], logits_of(policy, params, obs)[there], atol=SAME, rtol=SAME)
+        seen = np.asarray(policy.normalised(0, params.mean[0], params.std[0], jnp.asarray(obs)))
+        numbers = set_outputs(NumpyOperations(), held.weights[0], held.layers, LAYOUT, seen)
+        logits, there = logits_of(policy, params, obs), obs[..., LAYOUT.mask_span.first :] > 0.5
+        assert_allclose(numbers[..., :6][there], logits[..., :6][there], atol=SAME, rtol=SAME)
+        assert_allclose(numbers[..., 6:], logits[..., 6:], atol=SAME, rtol=SAME)
 
     runtime = pytest.importorskip("onnxruntime")
     from usarmjx.train.policies.onnx_file import write_onnx
@@ -149,7 +174,7 @@ def test_files_act_as_jax_does(kind, tmp_path):
     write_onnx(held, tmp_path / "p.onnx")
     session = runtime.InferenceSession(str(tmp_path / "p.onnx"))
     chosen = session.run(["P2AT.action"], {"P2AT.obs": obs[:, 0]})[0]
-    assert (chosen == found[:, 0]).all()
+    assert_allclose(chosen, found[:, 0], atol=SAME)
 
 
 def test_layouts_pass_through_files_and_others_are_refused():
@@ -158,6 +183,13 @@ def test_layouts_pass_through_files_and_others_are_refused():
     for wrong in (None, {}, {**whole, "own": -1}, {**whole, "kinds": [0.5]}, {**whole, "picture": [1]}):
         with pytest.raises(ValueError, match="layout"):
             layout_from_record(wrong)
+
+
+def test_vectors_pass_through_files_and_others_are_refused():
+    assert vector_from_record([3, 2], 9) == ActionVector(3, 2)
+    for wrong in (None, [3], [3, 2, 1], [0, 2], [3, 0], [8, 2], [-1, 2], [1.5, 2]):
+        with pytest.raises(ValueError, match="vector"):
+            vector_from_record(wrong, 9)
 
 
 def test_networks_that_observations_do_not_fit_are_refused():
@@ -186,3 +218,23 @@ def test_a_toy_is_learned(kind, layout, tmp_path):
     policy, params, _ = read_policy(tmp_path / "run", "last")
     found = evaluate_episodes(env, policy.as_policy(params), 256, seeds=(1000,))
     assert found.score.value > 0.85
+
+
+def test_only_a_vector_tells_robots_what_to_name(tmp_path):
+    """The same robots are right at once, and guess where they are deaf: one of two, in 512 answers."""
+    sizes = {"network": "set", "hidden_sizes": (32, 32), "critic_hidden_sizes": (16, 16)}
+    config = Config(
+        **{"num_worlds": 128, "rollout_length": 8, "num_minibatches": 4, "num_epochs": 4, "gamma": 0.99},
+        **{"learning_rate": 5e-3, "lr_schedule": "linear", "total_steps": 2048 * 24, **sizes},
+    )
+    train(WhisperToy(128), config, tmp_path / "run", progress=False)
+    policy, params, _ = read_policy(tmp_path / "run", "last")
+    scores = [
+        evaluate_episodes(
+            WhisperToy(128, deaf=deaf), policy.as_policy(params), 256, seeds=(1000,)
+        ).score.value
+        for deaf in (False, True)
+    ]
+    assert scores[0] > 0.9
+    # Four standard errors; robots of a world answer apart.
+    assert scores[1] < 0.5 + 4 * np.sqrt(0.25 / 512)

@@ -239,7 +239,7 @@ def action_grids(
         bins: Values of each action, where they are discrete.
 
     Raises:
-        UsageError: Another kind, fewer than two values, or too many choices.
+        UsageError: Another kind, fewer than two values, or too many choices; or choices with a vector.
     """
     if actions not in get_args(Actions):
         raise UsageError(f"actions is {actions!r}, allowed are 'continuous' and 'discrete'")
@@ -247,6 +247,12 @@ def action_grids(
         return None
     if bins < 2:
         raise UsageError(f"bins is {bins}, expected at least 2")
+    for group in groups:
+        if group.vector.size:
+            raise UsageError(
+                f"actions of {group.name} are choices and a vector of {group.vector.size} numbers, "
+                "not discrete: take actions='continuous'"
+            )
     grids = tuple(ActionGrid(bins, group.action_size, group.discrete) for group in groups)
     for group, grid in zip(groups, grids, strict=True):
         if grid.choices > MAX_CHOICES:

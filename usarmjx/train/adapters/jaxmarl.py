@@ -86,7 +86,7 @@ class MultiAgentWorld(MultiAgentEnv):
         self.env, self._smax = env, convention == "smax"
         # Closed over, not carried: in the state, which is mapped, each world would have a copy.
         self._arenas = env.arenas_at(1.0)
-        choosing = all(group.discrete for group in env.groups)
+        choosing = all(group.discrete and not group.vector.size for group in env.groups)
         self._grids = action_grids(env.groups, actions or ("discrete" if choosing else "continuous"), bins)
         self.agents = [agent.name for agent in roster]
         for agent in roster:
@@ -198,7 +198,9 @@ class MultiAgentWorld(MultiAgentEnv):
         masks, obs = Values(), by_agent(self.env, state.obs)
         for agent in agents_of(self.env):
             size, name = sizes[agent.group], agent.name
-            there = obs[name][-size:] > 0.5 if self.env.groups[agent.group].discrete else jnp.full(size, True)
+            group, there = self.env.groups[agent.group], jnp.full(size, True)
+            if group.discrete:
+                there = there.at[: group.choices].set(obs[name][-group.choices :] > 0.5)
             masks[name] = there if alive is None else there & alive[name]
         return masks
 

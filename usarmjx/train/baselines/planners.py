@@ -90,16 +90,19 @@ def with_given_messages(task: GoalTeam, goals: Policy) -> Policy:
         task: The task.
         goals: The policy, of observations without options, see `messages.without_options`.
     """
+    options, floats = task.options, task.message_floats
 
     def joined(seen: jax.Array, goal: jax.Array) -> jax.Array:
-        given = messages.given_option(seen[..., -messages.OPTIONS :], base_first=task.sends_to_base_first)
-        both = jnp.concatenate([goal, jnp.eye(messages.OPTIONS)[given]], -1)
+        given = messages.given_option(seen[..., -options:], base_first=task.sends_to_base_first)
+        both = jnp.concatenate([goal, jnp.eye(options)[given]], -1)
         # Only one of the two is to be chosen now, and silence is an option whenever messages are.
-        sends = seen[..., -messages.OPTIONS, None] > 0.5
-        return both * (sends == (np.arange(both.shape[-1]) >= GOALS))
+        sends = seen[..., -options, None] > 0.5
+        chosen = both * (sends == (np.arange(both.shape[-1]) >= GOALS))
+        # The protocol sends no vector: its numbers do not count.
+        return jnp.concatenate([chosen, jnp.zeros((*chosen.shape[:-1], floats))], -1) if floats else chosen
 
     def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
-        carry, chosen = goals.act(carry, tuple(map(messages.without_options, obs)), key)
+        carry, chosen = goals.act(carry, tuple(messages.without_options(seen, floats) for seen in obs), key)
         return carry, tuple(map(joined, obs, chosen))
 
     return Policy(goals.initial_carry, act)

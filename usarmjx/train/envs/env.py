@@ -422,7 +422,7 @@ class Env:
         ):
             group = scene.groups[number]
             names = tuple(scene.roster[int(slot)].name or f"{group.robot.name}{slot}" for slot in group.slots)
-            known = (names, obs.shape[-1], actions, task.discrete, task.layout(scene))
+            known = (names, obs.shape[-1], actions, task.discrete, task.layout(scene), task.vector)
             groups.append(AgentGroup(group.robot.name, *known))
         return tuple(groups)
 

@@ -1,4 +1,4 @@
-"""Layout of an observation of robots that choose: which numbers belong to which choice.
+"""Layout of observations and actions of robots that choose: which numbers belong to which choice.
 
 This module imports neither JAX nor anything that needs it, as files of policies are read by it.
 """
@@ -47,7 +47,19 @@ class Picture(NamedTuple):
         return self.levels * self.width * self.width * self.channels
 
 
-NO_PICTURE = Picture()
+class ActionVector(NamedTuple):
+    """Numbers of an action behind those of its choices.
+
+    Attributes:
+        size: Count of the numbers; 0: there are none.
+        choices: The last choices, with which alone they count.
+    """
+
+    size: int = 0
+    choices: int = 0
+
+
+NO_PICTURE, NO_VECTOR = Picture(), ActionVector()
 LARGEST = 10**6
 """Largest number in a layout of a file."""
 
@@ -163,6 +175,18 @@ def layout_from_record(held: Any) -> ObservationLayout:  # noqa: ANN401 - whatev
         kinds=rows["kinds"],
         picture=(picture[0], picture[1], picture[2]),
     )
+
+
+def vector_from_record(held: Any, action_size: int) -> ActionVector:  # noqa: ANN401 - whatever a file has
+    """Return the vector of a record in a file, for actions of a size.
+
+    Raises:
+        ValueError: It has none of whole numbers that leave as many choices as count with it.
+    """
+    size, choices = _whole_numbers("vector", held, 2)
+    if not 0 < size <= size + choices <= action_size or not choices:
+        raise ValueError(f"vector of its group is {[size, choices]}, in actions of {action_size} numbers")
+    return ActionVector(size, choices)
 
 
 def _whole_numbers(name: str, value: Any, count: int) -> tuple[int, ...]:  # noqa: ANN401 - whatever a file has

@@ -9,7 +9,7 @@ from flax import struct
 
 from usarmjx.sim.batch import BatchState
 from usarmjx.sim.world import World
-from usarmjx.train.envs.layout import ObservationLayout
+from usarmjx.train.envs.layout import NO_VECTOR, ActionVector, ObservationLayout
 
 Memory: TypeAlias = Any
 """A task's own state within an episode: any tree of arrays; only the task knows what is in it."""
@@ -27,6 +27,7 @@ class AgentGroup:
         discrete: Whether the greatest number of an action is a choice. The last numbers of an observation
             then say which choices there are (1, else 0), as many as an action has.
         layout: Parts of an observation; None: they are not known, and networks of sets cannot read it.
+        vector: Numbers behind those of the choices, which are no choices; of `discrete` ones only.
     """
 
     name: str
@@ -35,11 +36,17 @@ class AgentGroup:
     action_size: int
     discrete: bool = False
     layout: ObservationLayout | None = None
+    vector: ActionVector = NO_VECTOR
+
+    @property
+    def choices(self) -> int:
+        """Choices of an action, if it is `discrete`."""
+        return self.action_size - self.vector.size
 
     @property
     def outputs(self) -> int:
         """Parameters of the distribution of an action."""
-        return self.action_size if self.discrete else 2 * self.action_size
+        return self.choices + 2 * self.vector.size if self.discrete else 2 * self.action_size
 
 
 class TaskState(struct.PyTreeNode, kw_only=True):

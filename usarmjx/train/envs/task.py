@@ -33,7 +33,7 @@ from usarmjx.sim.radio import mailboxes
 from usarmjx.sim.ray_geometry import start_poses, victims_of
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.world import Stream, World, clock_of, episode_key, robot_states
-from usarmjx.train.envs.layout import ObservationLayout
+from usarmjx.train.envs.layout import NO_VECTOR, ActionVector, ObservationLayout
 from usarmjx.train.envs.presence import Presence
 from usarmjx.train.envs.recipe import (
     SPARE_ROOM,
@@ -305,6 +305,11 @@ class Task(ABC):
     def discrete(self) -> bool:
         """Whether actions are choices, see `AgentGroup.discrete`; by default they are not."""
         return False
+
+    @property
+    def vector(self) -> ActionVector:
+        """Numbers of an action behind those of its choices, see `AgentGroup.vector`; by default none."""
+        return NO_VECTOR
 
     @property
     def turn_length(self) -> int:

@@ -26,6 +26,7 @@ from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.tasks import goal_features
 from usarmjx.train.tasks.goal_features import FIRST_GOAL, FIRST_MASK, FIRST_MATE, GOAL_NUMBERS, GOALS
 from usarmjx.train.tasks.goal_team import GoalTeam
+from usarmjx.train.tasks.learned_vectors import without_vectors
 from usarmjx.train.tasks.messages import with_options, without_options
 from usarmjx.train.tasks.team import LOCAL_MAP_WIDTH, PERFECT_RADIO, TeamTask
 
@@ -142,9 +143,18 @@ GOAL_ABLATIONS: Ablations = {
 """Ablations of robots that choose goals; without `messages` they still report to their base."""
 
 
-def _beside_options(hide: Hide, obs: jax.Array, others: int) -> jax.Array:
-    """Hide a part of the observations of robots that choose messages, whose options stay."""
-    return with_options(hide(without_options(obs), others), obs)
+def _beside_options(hide: Hide, floats: int, obs: jax.Array, others: int) -> jax.Array:
+    """Hide a part of the observations of robots that choose messages, whose options stay.
+
+    With another robot its vector of some floats is hidden.
+    """
+    return with_options(hide(without_options(obs, floats), others), obs, floats)
+
+
+def _without_vectors(floats: int, obs: jax.Array, others: int) -> jax.Array:
+    """Hide the vectors that others sent."""
+    del others
+    return without_vectors(obs, floats)
 
 
 def ablations_of(task: TeamTask) -> Ablations:
@@ -156,9 +166,13 @@ def ablations_of(task: TeamTask) -> Ablations:
     if not isinstance(task, GoalTeam):
         return ABLATIONS
     if task.chooses_messages:
-        return {
-            name: (change, partial(_beside_options, hide)) for name, (change, hide) in GOAL_ABLATIONS.items()
+        floats = task.message_floats
+        beside = {
+            name: (change, partial(_beside_options, hide, floats))
+            for name, (change, hide) in GOAL_ABLATIONS.items()
         }
+        vectors: Ablations = {"vectors": (unchanged_task, partial(_without_vectors, floats))}
+        return {**beside, **(vectors if floats else {})}
     if not task.discrete:
         raise UsageError(
             f"--ablate takes robots that choose goals: expected actions=goals, not {task.actions}"

@@ -509,7 +509,7 @@ def make_record(
         engine=origin.engine,
         overrides=origin.overrides,
         groups=tuple(
-            AgentGroup(g.name, tuple(g.agents), g.obs_size, g.action_size, g.discrete, g.layout)
+            AgentGroup(g.name, tuple(g.agents), g.obs_size, g.action_size, g.discrete, g.layout, g.vector)
             for g in env.groups
         ),
         privileged_size=env.privileged_size,

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import flax.linen as nn
 import jax
@@ -24,6 +24,14 @@ from usarmjx.base.warp_functions import warp_in_use
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.layout import ObservationLayout, Span
 from usarmjx.train.envs.task import Policy
+from usarmjx.train.learning.distributions import (
+    ChoiceDistribution,
+    Distribution,
+    MixedDistribution,
+    choice_distribution,
+    mode_action,
+    normal_tanh,
+)
 from usarmjx.train.policies.set_forward import FILTERS, MASKED, heads_of
 
 MAX_NORMALISED = 10.0
@@ -142,18 +150,10 @@ def normalise(mean: jax.Array, std: jax.Array, values: jax.Array) -> jax.Array:
     )
 
 
-if TYPE_CHECKING:
-    from brax.training.distribution import NormalTanhDistribution
-
-
 ROOT_TWO = 2.0**0.5
 """Scale of a hidden layer's initial weights."""
-INVALID = -1e9
-"""Logit of a choice that is not there."""
 _one_by_one = cast(Any, custom_batching).sequential_vmap
 """Function that is mapped over seeds in a loop; jax leaves its types open."""
-Distribution: TypeAlias = "NormalTanhDistribution | ChoiceDistribution"
-"""Family of distributions of actions."""
 Residuals: TypeAlias = tuple[jax.Array, ...]
 """Arguments of `recur` and its result."""
 GPU_STEPS = 8
@@ -203,6 +203,7 @@ class SetNetwork(nn.Module):
         sees: Whether it looks at the picture.
         scale: Scale of the last layer's initial weights.
         robots: Robots with a bias of their own, as in a critic; 0: all are alike.
+        numbers: Outputs behind those of the choices, of the robot itself; they are among `outputs`.
     """
 
     layers: tuple[int, ...]
@@ -212,6 +213,7 @@ class SetNetwork(nn.Module):
     sees: bool = False
     scale: float = 1.0
     robots: int = 0
+    numbers: int = 0
     memory: int = 0
 
     @nn.compact
@@ -236,7 +238,11 @@ class SetNetwork(nn.Module):
         first = 1 + layout.others[0]
         init = nn.initializers.orthogonal(self.scale)
         head = nn.Dense(1 if self.chooses else self.outputs, kernel_init=init, name="head")
-        return (head(x[..., first:, :])[..., 0] if self.chooses else head(x[..., 0, :])), carry
+        out = head(x[..., first:, :])[..., 0] if self.chooses else head(x[..., 0, :])
+        if self.numbers:
+            vector = nn.Dense(self.numbers, kernel_init=init, name="vector")
+            out = jnp.concatenate([out, vector(x[..., 0, :])], -1)
+        return out, carry
 
     def _gather(self, x: jax.Array, there: jax.Array, i: int, size: int) -> jax.Array:
         """Return attention over all tokens plus a term of the robot's own one (..., tokens, size)."""
@@ -293,47 +299,6 @@ def shared_scale(layout: ObservationLayout, mean: jax.Array, std: jax.Array) -> 
 def _rows(seen: jax.Array, span: Span) -> jax.Array:
     """Return the numbers of things (..., rows, numbers)."""
     return seen[..., span.first : span.end].reshape(*seen.shape[:-1], span.rows, span.numbers)
-
-
-def mask_logits(logits: jax.Array, seen: jax.Array) -> jax.Array:
-    """Return logits (..., choices) without those choices that observations (..., n) say are not there.
-
-    The last numbers of an observation say that, see `AgentGroup.discrete`.
-    """
-    return jnp.where(seen[..., -logits.shape[-1] :] > 0.5, logits, INVALID)
-
-
-@dataclass(frozen=True)
-class ChoiceDistribution:
-    """Categorical distribution over choices; its parameters are logits, a sample is 1 at one choice, else 0.
-
-    Attributes:
-        choices: Number of them.
-    """
-
-    choices: int
-
-    def sample_no_postprocessing(self, logits: jax.Array, key: jax.Array) -> jax.Array:
-        """Return a drawn choice (..., choices)."""
-        return jax.nn.one_hot(jax.random.categorical(key, logits), self.choices)
-
-    def postprocess(self, choice: jax.Array) -> jax.Array:
-        """Return an action for a choice: itself."""
-        return choice
-
-    def mode(self, logits: jax.Array) -> jax.Array:
-        """Return the most probable choice (..., choices)."""
-        return jax.nn.one_hot(logits.argmax(-1), self.choices)
-
-    def log_prob(self, logits: jax.Array, choice: jax.Array) -> jax.Array:
-        """Return the logarithm of the probability of a choice (...)."""
-        return (jax.nn.log_softmax(logits) * choice).sum(-1)
-
-    def entropy(self, logits: jax.Array, key: jax.Array) -> jax.Array:
-        """Return the entropy [nat] (...); the key is not needed."""
-        del key
-        share = jax.nn.softmax(logits)
-        return -(share * jnp.where(share > 0, jax.nn.log_softmax(logits), 0.0)).sum(-1)
 
 
 def recur(
@@ -470,8 +435,6 @@ _recur.defvjp(_forward, _backward)
 
 Params: TypeAlias = Any
 """A tree of weights, as flax nests them."""
-MIN_STD = 0.01
-"""Least deviation of an action before it is squashed."""
 POLICY_HEAD_SCALE = 0.01
 """Scale of the policy's last layer at the start: the first actions are about 0, with a deviation of 0.7."""
 
@@ -579,7 +542,7 @@ class LearnedPolicy:
             layout = group.layout
             if layout is None or not group.discrete:
                 raise UsageError(f"network is {self.kind}, but {group.name} chooses of no set: use mlp")
-            if problem := layout.misfit(group.obs_size, group.action_size):
+            if problem := layout.misfit(group.obs_size, group.choices):
                 raise UsageError(f"network is {self.kind}, but of {group.name} {problem}")
             if self.kind == "cnn" and not layout.picture_size.size:
                 raise UsageError(
@@ -595,8 +558,10 @@ class LearnedPolicy:
         outputs, layout = self.groups[group].outputs, self.layout(group)
         if layout is None:
             return Network(self.layers, self.memory, outputs, scale=POLICY_HEAD_SCALE)
-        sees = self.kind == "cnn"
-        return SetNetwork(self.layers, outputs, layout, chooses=True, sees=sees, scale=POLICY_HEAD_SCALE)
+        sees, numbers = self.kind == "cnn", 2 * self.groups[group].vector.size
+        return SetNetwork(
+            self.layers, outputs, layout, chooses=True, sees=sees, scale=POLICY_HEAD_SCALE, numbers=numbers
+        )
 
     def scale(self, group: int, mean: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return mean and deviation that a group's observations are shifted and scaled by (obs_size,)."""
@@ -607,13 +572,14 @@ class LearnedPolicy:
         """Return a group's observations (..., obs_size) shifted and scaled."""
         return normalise(*self.scale(group, mean, std), seen)
 
-    def distribution(self, group: int) -> "Distribution":
+    def distribution(self, group: int) -> Distribution:
         """Return the family of distributions that a group's actions are drawn from."""
-        if self.groups[group].discrete:
-            return ChoiceDistribution(self.groups[group].action_size)
-        with extra("train"):
-            from brax.training.distribution import NormalTanhDistribution
-        return NormalTanhDistribution(self.groups[group].action_size, min_std=MIN_STD)
+        return self._chosen(group) or normal_tanh(self.groups[group].action_size)
+
+    def _chosen(self, group: int) -> ChoiceDistribution | MixedDistribution | None:
+        """Return the family of a group's distributions, if its robots choose."""
+        own = self.groups[group]
+        return choice_distribution(own.choices, own.vector) if own.discrete else None
 
     def init(self, key: jax.Array) -> tuple[Params, ...]:
         """Return weights to begin with, per group."""
@@ -652,7 +618,8 @@ class LearnedPolicy:
 
     def masked(self, group: int, logits: jax.Array, seen: jax.Array) -> jax.Array:
         """Return a group's parameters (..., outputs) as its observations (..., obs_size) allow."""
-        return mask_logits(logits, seen) if self.groups[group].discrete else logits
+        chosen = self._chosen(group)
+        return logits if chosen is None else chosen.masked(logits, seen)
 
     def act(
         self,
@@ -690,9 +657,8 @@ class LearnedPolicy:
 
     def mode(self, group: int, logits: jax.Array) -> jax.Array:
         """Return the most probable actions of a group, of their distributions' parameters."""
-        if self.groups[group].discrete:
-            return ChoiceDistribution(self.groups[group].action_size).mode(logits)
-        return mode_action(logits)
+        chosen = self._chosen(group)
+        return mode_action(logits) if chosen is None else chosen.mode(logits)
 
     def as_policy(self, params: PolicyParams, deterministic: bool = True) -> Policy:
         """Return the policy with its parameters, as evaluation and adapters want it."""
@@ -704,11 +670,6 @@ class LearnedPolicy:
             return carry, actions
 
         return Policy(initial_carry=self.initial_carry, act=act)
-
-
-def mode_action(logits: jax.Array) -> jax.Array:
-    """Return the mode of `LearnedPolicy.distribution` (..., action_size), of its parameters."""
-    return jnp.tanh(jnp.split(logits, 2, axis=-1)[0])
 
 
 def fold_each(key: jax.Array, numbers: jax.Array) -> jax.Array:

@@ -25,14 +25,9 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import Memory
 from usarmjx.train.envs.task import Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.distributions import ChoiceDistribution, MixedDistribution
 from usarmjx.train.learning.league import update_league
-from usarmjx.train.learning.networks import (
-    ChoiceDistribution,
-    apply_network,
-    fold_all,
-    fold_each,
-    update_statistics,
-)
+from usarmjx.train.learning.networks import apply_network, fold_all, fold_each, update_statistics
 from usarmjx.train.learning.processes import PROCESS_AXIS
 from usarmjx.train.learning.train_state import (
     ActorCriticParams,
@@ -48,7 +43,7 @@ from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.oracle_view import oracle_obs
 
 if TYPE_CHECKING:
-    from usarmjx.train.learning.networks import Distribution
+    from usarmjx.train.learning.distributions import Distribution
 
 
 BASELINE, ORACLE = "baseline", "oracle"
@@ -132,10 +127,14 @@ def imitation_loss(
 
     Returns:
         Half the sum of the squares of both (...); of choices, minus the logarithm of the probability of the
-        teacher's.
+        teacher's, plus that sum of the vector where the teacher sends one.
     """
     if isinstance(kind, ChoiceDistribution):
         return -kind.log_prob(logits, teacher_action)
+    if isinstance(kind, MixedDistribution):
+        (logits, numbers), (choice, vector) = kind.split(logits), kind.split(teacher_action)
+        of_vector = imitation_loss(kind.numbers, numbers, vector, deviation)
+        return imitation_loss(kind.choice, logits, choice, deviation) + kind.spoken(choice) * of_vector
     # A baseline may command beyond the limits, which no squashed action can reach.
     error = kind.mode(logits) - jnp.clip(teacher_action, -1.0, 1.0)
     std_error = kind.create_dist(logits).scale - deviation

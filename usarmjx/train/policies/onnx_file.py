@@ -129,10 +129,29 @@ def _add_memory(graph: _Graph, weights: Any, x: str, carry: str) -> str:  # noqa
     return graph.add("Add", graph.add("Mul", graph.add("Sub", graph.constant(1.0), update), new), kept)
 
 
-def _last(graph: _Graph, seen: str, width: int, count: int) -> str:
-    """Return the last of some numbers."""
-    bounds = graph.add("Constant", value_ints=[width - count]), graph.add("Constant", value_ints=[width])
-    return graph.add("Slice", seen, *bounds, graph.add("Constant", value_ints=[-1]))
+def _part(graph: _Graph, x: str, first: int, end: int) -> str:
+    """Return the numbers from `first` to before `end`."""
+    return _GraphOperations(graph).slice(x, -1, first, end)
+
+
+def _most_probable(graph: _Graph, x: str, seen: str, sizes: tuple[int, int, int]) -> str:
+    """Return the most probable action of parameters of choices, and of a vector if it has a size.
+
+    Args:
+        graph: The graph.
+        x: The parameters.
+        seen: Raw observations, as in `policy_file._choice`.
+        sizes: Numbers of an observation, choices, and numbers of the vector.
+    """
+    width, choices, numbers = sizes
+    rated = _part(graph, x, 0, choices) if numbers else x
+    there = graph.add("Greater", _part(graph, seen, width - choices, width), graph.constant(0.5))
+    rated = graph.add("Where", there, rated, graph.constant(INVALID))
+    chosen = graph.add("Hardmax", rated, axis=-1)
+    if not numbers:
+        return chosen
+    vector = graph.add("Tanh", _part(graph, x, choices, choices + numbers))
+    return graph.add("Concat", chosen, vector, axis=-1)
 
 
 def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
@@ -154,14 +173,13 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
         x = _add_memory(graph, weights, x, f"{name}.carry")
         graph.result(f"{name}.next_carry", policy.memory, x)
     if group.get("discrete"):
-        # Of the raw observations, as in `policy_file._choice`.
-        there = graph.add("Greater", _last(graph, seen, width, group["action_size"]), graph.constant(0.5))
         if layout is None:
             x = graph.dense(weights["head"], x)
         else:
             x = set_outputs(_GraphOperations(graph), weights, policy.layers, layout, x)
-        x = graph.add("Where", there, x, graph.constant(INVALID))
-        graph.result(f"{name}.action", group["action_size"], graph.add("Hardmax", x, axis=-1))
+        numbers = policy.vectors[index].size
+        sizes = width, group["action_size"] - numbers, numbers
+        graph.result(f"{name}.action", group["action_size"], _most_probable(graph, x, seen, sizes))
         return
     means, _ = graph.add("Split", graph.dense(weights["head"], x), outputs=2, axis=-1)
     graph.result(f"{name}.action", group["action_size"], graph.add("Tanh", means))

@@ -21,7 +21,14 @@ from usarmjx.base.files import atomic_write
 from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.base.settings.files import is_mapping
 from usarmjx.base.settings.json_file import parse_json
-from usarmjx.train.envs.layout import ObservationLayout, layout_from_record, layout_record
+from usarmjx.train.envs.layout import (
+    NO_VECTOR,
+    ActionVector,
+    ObservationLayout,
+    layout_from_record,
+    layout_record,
+    vector_from_record,
+)
 from usarmjx.train.policies.set_forward import KINDS, NumpyOperations, elu, set_outputs, set_shapes
 from usarmjx.train.task_names import recorded_name
 
@@ -87,7 +94,7 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
     for group in about["groups"]:
         _check("group", group, dict, group)
         # Exactly these: `load_exported` passes them to AgentGroup as they are.
-        if group.keys() - {"discrete", "layout"} != {"name", "agents", "obs_size", "action_size"}:
+        if group.keys() - {"discrete", "layout", "vector"} != {"name", "agents", "obs_size", "action_size"}:
             raise ValueError(
                 f"a group has {', '.join(sorted(group))[:100]}, expected name, agents, obs_size, action_size"
             )
@@ -98,13 +105,20 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
         _check_whole("action_size", group)
         if not isinstance(group.get("discrete", False), bool):
             raise ValueError("its discrete is true or false")
+        if _vector(group).size and not group.get("discrete"):
+            raise ValueError("its actions have a vector behind choices, but no choices")
         if about.get("network", "mlp") != "mlp":
             _check_layout(about, group)
 
 
+def _vector(group: Mapping[str, Any]) -> ActionVector:
+    """Return the numbers behind the choices of a group's actions."""
+    return vector_from_record(group["vector"], group["action_size"]) if "vector" in group else NO_VECTOR
+
+
 def _check_layout(about: Mapping[str, Any], group: Mapping[str, Any]) -> None:
     layout = layout_from_record(group.get("layout"))
-    if problem := layout.misfit(group["obs_size"], group["action_size"]):
+    if problem := layout.misfit(group["obs_size"], group["action_size"] - _vector(group).size):
         raise ValueError(problem)
     if about["memory"] or not group.get("discrete"):
         raise ValueError(f"a network of kind {about['network']} has no memory, and chooses")
@@ -148,7 +162,8 @@ def check_shapes(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
         else:
             first = ["own", *(f"layer_{i}" for i in range(1, about["layers"]))]
             widths = [arrays[f"{start}{name}/bias"].size for name in first]
-            shapes = set_shapes(layout_from_record(group["layout"]), widths, kind)
+            layout = layout_from_record(group["layout"])
+            shapes = set_shapes(layout, widths, kind, 2 * _vector(group).size)
         wanted |= {start + name: shape for name, shape in shapes.items()}
         for name, shape in wanted.items():
             if arrays[name].shape != shape:
@@ -173,8 +188,9 @@ def _layer_shapes(
         wanted |= {"gates/kernel": (width, 3 * memory), "gates/bias": (3 * memory,)}
         wanted |= {"recurrent": (memory, 3 * memory), "recurrent_bias": (memory,)}
         width = memory
-    # A continuous head returns a mean and a deviation for each action.
-    out = group["action_size"] * (1 if group.get("discrete") else 2)
+    # A continuous head returns a mean and a deviation for each action, and so does that of a vector.
+    numbers = _vector(group).size if group.get("discrete") else group["action_size"]
+    out = group["action_size"] + numbers
     return {**wanted, "head/kernel": (width, out), "head/bias": (out,)}
 
 
@@ -231,6 +247,7 @@ class NumpyPolicy:
         layers: Number of hidden layers.
         network: Kind of the networks, one of `KINDS`.
         layouts: Per group the parts of observations that its network reads; None: all numbers alike.
+        vectors: Per group the numbers of an action behind those of its choices.
         weights: Per group a tree of weights.
         mean: Mean of the observations in training, per group (obs_size,).
         std: Their deviation, per group (obs_size,).
@@ -256,6 +273,7 @@ class NumpyPolicy:
                 None if self.network == "mlp" else layout_from_record(group["layout"])
                 for group in self.groups
             ]
+            self.vectors = [_vector(group) for group in self.groups]
             self.mean = [arrays[f"mean/{g}"] for g in range(len(self.groups))]
             self.std = [arrays[f"std/{g}"] for g in range(len(self.groups))]
             self.weights = [_tree(arrays, f"weights/{g}/") for g in range(len(self.groups))]
@@ -306,14 +324,21 @@ class NumpyPolicy:
             logits, carry = forward(self.weights[group], self.layers, seen, carry)
         else:
             logits = set_outputs(NumpyOperations(), self.weights[group], self.layers, layout, seen)
-        if self.groups[group].get("discrete"):
-            return _choice(logits, obs, draw), carry
-        loc, scale = np.split(logits, 2, axis=-1)
-        if draw is not None:
-            # Softplus without an overflow.
-            deviation = np.logaddexp(scale, 0.0) + MIN_STD
-            loc = loc + deviation * draw.standard_normal(loc.shape, np.float32)
-        return np.tanh(loc), carry
+        if not self.groups[group].get("discrete"):
+            return _squashed(logits, draw), carry
+        choices = logits.shape[-1] - 2 * self.vectors[group].size
+        choice = _choice(logits[..., :choices], obs, draw)
+        return np.concatenate([choice, _squashed(logits[..., choices:], draw)], -1), carry
+
+
+def _squashed(parameters: Vector, draw: np.random.Generator | None) -> Vector:
+    """Return numbers from -1 to 1 (..., n), of means and deviations before they are squashed (..., 2 n)."""
+    loc, scale = np.split(parameters, 2, axis=-1)
+    if draw is not None:
+        # Softplus without an overflow.
+        deviation = np.logaddexp(scale, 0.0) + MIN_STD
+        loc = loc + deviation * draw.standard_normal(loc.shape, np.float32)
+    return np.tanh(loc)
 
 
 def _choice(logits: Vector, obs: Vector, draw: np.random.Generator | None) -> Vector:
@@ -388,7 +413,7 @@ def save_policy(
 
 
 def group_record(group: "AgentGroup", layout: ObservationLayout | None = None) -> dict[str, Any]:
-    """Return what a file has of a group: `discrete` only where it is so, as older readers know none.
+    """Return what a file has of a group: `discrete` and `vector` only where it has it, for older readers.
 
     Args:
         group: The group.
@@ -396,6 +421,8 @@ def group_record(group: "AgentGroup", layout: ObservationLayout | None = None) -
     """
     found = {name: value for name, value in vars(group).items() if name != "layout"}
     found = {name: value for name, value in found.items() if name != "discrete" or value}
+    if group.vector == NO_VECTOR:
+        del found["vector"]
     return found if layout is None else {**found, "layout": layout_record(layout)}
 
 

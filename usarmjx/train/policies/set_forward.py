@@ -96,7 +96,7 @@ def _part(ops: Operations, x: Any, span: Span) -> Any:  # noqa: ANN401
 
 
 def set_outputs(ops: Operations, weights: Weights, layers: int, layout: ObservationLayout, x: Any) -> Any:  # noqa: ANN401
-    """Return a number for each choice (rows, choices).
+    """Return a number for each choice, then those of a vector (rows, choices + numbers).
 
     Args:
         ops: The operations.
@@ -126,7 +126,12 @@ def set_outputs(ops: Operations, weights: Weights, layers: int, layout: Observat
     # Tokens are the robot itself, the others, and the choices; only the last are rated.
     first = 1 + layout.others[0]
     chosen = ops.slice(tokens, -2, first, layout.tokens)
-    return ops.shape(_dense(ops, weights["head"], chosen), 2, (layout.choices[0],))
+    rated = ops.shape(_dense(ops, weights["head"], chosen), 2, (layout.choices[0],))
+    if "vector" not in weights:
+        return rated
+    vector = _dense(ops, weights["vector"], ops.slice(tokens, -2, 0, 1))
+    numbers = weights["vector"]["kernel"].shape[1]
+    return ops.joined([rated, ops.shape(vector, 2, (numbers,))], -1)
 
 
 def _hidden(ops: Operations, layout: ObservationLayout, x: Any, others: Any) -> Any:  # noqa: ANN401
@@ -226,13 +231,16 @@ class NumpyOperations:
         return np.moveaxis(x, -4, -2)
 
 
-def set_shapes(layout: ObservationLayout, widths: Sequence[int], kind: str) -> dict[str, tuple[int, ...]]:
+def set_shapes(
+    layout: ObservationLayout, widths: Sequence[int], kind: str, numbers: int = 0
+) -> dict[str, tuple[int, ...]]:
     """Return the shape of each array of a network, by its name.
 
     Args:
         layout: Parts of the observations.
         widths: Width of the first layer, then of each round.
         kind: One of `KINDS`, but `mlp`.
+        numbers: Outputs behind those of the choices.
     """
     width, wanted = widths[0], dict[str, tuple[int, ...]]()
     for name, inputs in (("own", layout.own), ("others", layout.others[1]), ("choices", layout.choices[1])):
@@ -249,4 +257,6 @@ def set_shapes(layout: ObservationLayout, widths: Sequence[int], kind: str) -> d
         wanted |= {f"layer_{i}/kernel": (width, size), f"layer_{i}/bias": (size,)}
         wanted |= {f"{name}_{i}/kernel": (width, size) for name in ("query", "key", "value", "common")}
         width = size
+    if numbers:
+        wanted |= {"vector/kernel": (width, numbers), "vector/bias": (numbers,)}
     return {**wanted, "head/kernel": (width, 1), "head/bias": (1,)}

@@ -30,7 +30,6 @@ from usarmjx.train.make import SourceLoader, check_named, find_baseline, make, m
 from usarmjx.train.policies import POLICIES, no_policy
 from usarmjx.train.policies.policy_file import NumpyPolicy, weights_in
 from usarmjx.train.task_names import newest_name, same_class
-from usarmjx.train.tasks import messages
 from usarmjx.train.tasks.goal_team import GoalTeam
 
 EPISODES, WORLDS = 100, 20
@@ -218,7 +217,7 @@ class PolicySource:
         # any size.
         mine, theirs = _shapes(policy.groups), _shapes(env.groups)
         task = getattr(env, "task", None)
-        if isinstance(task, GoalTeam) and task.chooses_messages and mine == _without_options(theirs):
+        if isinstance(task, GoalTeam) and task.chooses_messages and mine == _without_messages(task, theirs):
             return with_given_messages(task, policy.as_policy(params))
         if mine != theirs:
             raise UsageError(
@@ -363,10 +362,10 @@ def _shapes(groups: Sequence[AgentGroup]) -> list[tuple[str, int, int]]:
     return [(group.name, group.obs_size, group.action_size) for group in groups]
 
 
-def _without_options(shapes: list[tuple[str, int, int]]) -> list[tuple[str, int, int]]:
+def _without_messages(task: GoalTeam, shapes: list[tuple[str, int, int]]) -> list[tuple[str, int, int]]:
     """Return the shapes of groups as if they chose no messages."""
-    rows = messages.OPTIONS * (messages.OPTION_NUMBERS + 1)
-    return [(name, obs - rows, actions - messages.OPTIONS) for name, obs, actions in shapes]
+    seen, done = task.sizes_of_messages
+    return [(name, obs - seen, actions - done) for name, obs, actions in shapes]
 
 
 def task_settings(
@@ -502,8 +501,8 @@ def load_exported(file: Path) -> PolicySource:
     """
     exported = NumpyPolicy(file)
     given: list[dict[str, Any]] = [
-        {**one, "agents": tuple(one["agents"]), "layout": layout}
-        for one, layout in zip(exported.groups, exported.layouts, strict=True)
+        {**one, "agents": tuple(one["agents"]), "layout": layout, "vector": vector}
+        for one, layout, vector in zip(exported.groups, exported.layouts, exported.vectors, strict=True)
     ]
     groups = tuple(AgentGroup(**one) for one in given)
     # Networks over sets call their first layer `own`.

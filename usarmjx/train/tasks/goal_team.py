@@ -4,19 +4,18 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
 from usarmjx.comms.mail import BYTES_PER_NUMBER, OutgoingMessages
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
-from usarmjx.train.envs.layout import NO_PICTURE, ObservationLayout, Picture
+from usarmjx.train.envs.layout import NO_PICTURE, NO_VECTOR, ActionVector, ObservationLayout, Picture
 from usarmjx.train.envs.presence import Presence, drawn_team, remaining_robots
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.belief import HEADER_SIZE, SECTOR_COUNT, Belief, headers, update_base_contact
@@ -62,6 +61,8 @@ from usarmjx.train.tasks.goal_features import (
     nearest_mates,
     sector_features,
 )
+from usarmjx.train.tasks.goal_state import GoalState, KnownMaps, Progress
+from usarmjx.train.tasks.learned_vectors import VectorState, beside_mates, vector_columns, vector_features
 from usarmjx.train.tasks.team import (
     PROGRESS_SCALE,
     WAYPOINT_SCALE,
@@ -78,77 +79,6 @@ TRUTH_WIDTH = 16
 """Squares along a side of the maps that critics see."""
 RECENT_REPORT = 1.0
 """A robot whose beliefs had come to the base so short a time ago has nothing new for it [s]."""
-
-
-class GoalState(struct.PyTreeNode, kw_only=True):
-    """Memory of reports and goals.
-
-    Attributes:
-        achieved: The task's own: what its score counts.
-        reported: News on each robot's map when the base last had all of it (robots,).
-        shared: News on each robot's map when it last had a link to each other one (robots, robots).
-        goals: Goals of each robot as of the last choice (robots, goals, ...).
-        chosen: Which of them it chose (robots,).
-        way: Next positions on the way there [m] (robots, WAY_SQUARES, 2).
-        looked: Squares that each robot has looked at, if the task wants that (robots, i, j); else empty.
-        sent: Squares of news on each robot's map when the base last had all of it, if pictures show them; of
-            parts of maps, those that it believes the base to have (robots, i, j); else empty.
-        picture: Pictures of the robots' maps as of the last choice (robots, LEVELS, WIDTH, WIDTH, channels);
-            else empty.
-        messaging: Memory of messages, if parts of maps are sent; else empty.
-        bytes_sent: Bytes that a robot of the team has sent so far, each receiver counted: mean [bytes] ().
-    """
-
-    achieved: Any
-    reported: jax.Array
-    shared: jax.Array
-    goals: Goals
-    chosen: jax.Array
-    way: jax.Array
-    looked: jax.Array | tuple[()] = ()
-    sent: jax.Array | tuple[()] = ()
-    picture: jax.Array | tuple[()] = ()
-    messaging: messages.MessageState | tuple[()] = ()
-    bytes_sent: jax.Array | float = 0.0
-
-
-class KnownMaps(struct.PyTreeNode, kw_only=True):
-    """Facts that goals and ways of robots depend on.
-
-    Attributes:
-        squares: Their maps (robots, i, j).
-        reachable: Squares that robots get to, for an oracle (i, j).
-        targets: Squares that are worth the way, for an oracle (i, j); else those that are `pending`
-            (robots, i, j).
-        pose: Their poses (robots, 3).
-        headers: Headers that they received, see `Belief` (robots, robots, HEADER_SIZE).
-        age: Age of these [s] (robots, robots).
-        mates: The others that are goals (robots, MATES).
-    """
-
-    squares: jax.Array
-    reachable: jax.Array
-    targets: jax.Array
-    pose: jax.Array
-    headers: jax.Array
-    age: jax.Array
-    mates: Mates
-
-
-class Progress(NamedTuple):
-    """Gain of a step, contacts apart.
-
-    Attributes:
-        achieved: The task's own memory after it.
-        points: Points of the score ().
-        reward: Points that each robot gets, by slot (robots,).
-        metrics: The task's own.
-    """
-
-    achieved: Any
-    points: jax.Array
-    reward: jax.Array
-    metrics: dict[str, jax.Array]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +103,8 @@ class GoalTeam(TeamTask):
     Robots mail their whole map in every step. With `byte_rate` each sends one message every `hold` steps, of
     as much as its bytes pay for: to the base if that is in range, else to all, see `messages`. Action
     `goals+message`: 17 more numbers, one for each option of that message; the mask shows the options in the
-    first half of the time between two choices of goals, and goals in the second.
+    first half of the time between two choices of goals, and goals in the second. With `message_floats` there
+    are 4 more options, to send a vector, and behind all choices its numbers; see `learned_vectors`.
 
     Robots that touch something pay for their contacts. Besides its part of the points, each robot gets `hint`
     times 100 times the share of the building that it was the first to see; this is not part of the score.
@@ -190,6 +121,7 @@ class GoalTeam(TeamTask):
         oracle: Let the robots know the building: their ways lead through what they have not seen, and what
             the score wants is a frontier. A bound, not a method.
         byte_rate: Bytes a second that each robot may send, each receiver counted; None: any number.
+        message_floats: Numbers of a vector that robots may send with `actions=goals+message`; 0: none.
     """
 
     reports: ClassVar[bool] = True
@@ -214,6 +146,7 @@ class GoalTeam(TeamTask):
     least_robots: Annotated[int, NOT_NEGATIVE] = 0
     oracle: bool = False
     byte_rate: Annotated[float, NOT_NEGATIVE] | None = None
+    message_floats: Annotated[int, NOT_NEGATIVE] = 0
 
     def problem(self) -> str:
         """Return a conflict between settings."""
@@ -221,6 +154,11 @@ class GoalTeam(TeamTask):
             return "advice is false, but robots of this task see no advice"
         if self.observed == "map" and not self.discrete:
             return "observed is map, but with actions=wheels robots see no picture"
+        if self.message_floats and not self.chooses_messages:
+            return (
+                f"message_floats is {self.message_floats}, but robots choose no messages: set "
+                "actions=goals+message"
+            )
         if self.parts and self.hold % 2:
             return f"hold is {self.hold}, but messages are sent half way between choices: an even number"
         wrong = self.least_robots > self.count
@@ -258,11 +196,28 @@ class GoalTeam(TeamTask):
     @property
     def options(self) -> int:
         """Options of messages among the choices."""
-        return messages.OPTIONS * self.chooses_messages
+        return messages.option_count(self.message_floats) * self.chooses_messages
+
+    @property
+    def vector(self) -> ActionVector:
+        """Numbers of a message behind the choices, which count with the last options."""
+        floats = self.message_floats
+        return ActionVector(floats, messages.RECEIVERS) if floats else NO_VECTOR
+
+    @property
+    def sizes_of_messages(self) -> tuple[int, int]:
+        """Numbers that choices of messages add to observations and to actions."""
+        seen = self.options * (messages.OPTION_NUMBERS + 1)
+        return seen + OBSERVED_MATES * vector_columns(self.message_floats), self.options + self.message_floats
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action: for each goal and option of a message, then a vector; or speed and turn."""
+        return self.choices + self.message_floats if self.discrete else 2
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
-        """A number for each goal and each option of a message, or speed and turn."""
-        return (self.choices if self.discrete else 2,) * len(self.agent_groups(scene))
+        """As `action_size`, of each group."""
+        return (self.action_size,) * len(self.agent_groups(scene))
 
     @property
     def choices(self) -> int:
@@ -277,9 +232,10 @@ class GoalTeam(TeamTask):
         kinds = (0, 1, 3, *(2,) * FRONTIERS) if self.holds else (0, *(1,) * MATES, *(2,) * FRONTIERS)
         silent = max(kinds) + 1
         sends = (silent, *(silent + 1,) * (messages.OPTIONS - 1)) if self.chooses_messages else ()
+        sends += (silent + 2,) * self.vector.choices
         return ObservationLayout(
             own=OWN_NUMBERS + SECTOR_COUNT,
-            others=(OBSERVED_MATES, MATE_NUMBERS),
+            others=(OBSERVED_MATES, MATE_NUMBERS + vector_columns(self.message_floats)),
             choices=(self.choices, GOAL_NUMBERS),
             kinds=(*kinds, *sends),
             picture=Picture(LEVELS, WIDTH, len(CHANNELS)) if self.pictures else NO_PICTURE,
@@ -294,6 +250,10 @@ class GoalTeam(TeamTask):
     def pictures(self) -> bool:
         """Whether robots see pictures of their maps."""
         return self.observed == "map"
+
+    def letter_size(self, scene: Scene) -> int:
+        """As `TeamTask`, and a vector."""
+        return super().letter_size(scene) + self.message_floats
 
     # Members of the team.
 
@@ -440,12 +400,15 @@ class GoalTeam(TeamTask):
         state, scene = self.message_state(memory), view.scene
         offered, _ = self.message_choices(view, memory)
         chosen = messages.given_option(offered.valid, base_first=self.sends_to_base_first)
+        numbers = jnp.zeros((scene.num_robots, self.message_floats)) if self.message_floats else None
         if self.chooses_messages:
             for group, action in zip(self.agent_groups(scene), actions, strict=True):
                 slots = scene.groups[group].slots
-                wanted = jnp.where(offered.valid[slots], action[:, GOALS:], -jnp.inf).argmax(-1)
+                wanted = jnp.where(offered.valid[slots], action[:, GOALS : self.choices], -jnp.inf).argmax(-1)
                 chosen = chosen.at[slots].set(wanted)
-        facts = state, offered, memory.belief.squares, chosen
+                if numbers is not None:
+                    numbers = numbers.at[slots].set(action[:, self.choices :])
+        facts = state, offered, memory.belief.squares, chosen, numbers
         state = where_due(messages.posted, self.sends_now(memory), state, *facts)
         return memory.replace(extra=memory.extra.replace(messaging=state))
 
@@ -560,7 +523,9 @@ class GoalTeam(TeamTask):
             goals=none,
             chosen=jnp.zeros(robots, jnp.int32),
             way=jnp.broadcast_to(pose[:, None, :2], (robots, WAY_SQUARES, 2)),
-            messaging=messages.no_messages(robots, self.arena_grid(view.scene).packed_size)
+            messaging=messages.no_messages(
+                robots, self.arena_grid(view.scene).packed_size, self.message_floats
+            )
             if self.parts
             else (),
             bytes_sent=jnp.zeros(()),
@@ -699,7 +664,7 @@ class GoalTeam(TeamTask):
         rows = [
             jnp.stack([jnp.asarray(one, jnp.float32) for one in own], -1),
             sector_features(belief),
-            mate_features(belief, base, view.time, linked, untold),
+            self._others(view, memory, mate_features(belief, base, view.time, linked, untold)),
             goal_features(
                 grid,
                 belief,
@@ -719,6 +684,15 @@ class GoalTeam(TeamTask):
         rows += [*picture, *mask]
         way = [] if self.discrete else [self.controller_input(memory.replace(belief=self.followed(memory)))]
         return jnp.concatenate([*way, *rows], -1).astype(jnp.float32)
+
+    def _others(self, view: TaskView, memory: TeamMemory, mates: jax.Array) -> jax.Array:
+        """Return what robots observe of others (robots, n): `mate_features`, and vectors if there are any."""
+        if not self.message_floats:
+            return mates
+        vectors = self.message_state(memory).vectors
+        assert isinstance(vectors, VectorState)
+        seen = nearest_mates(memory.belief, station_slot(view.scene), view.time, OBSERVED_MATES)
+        return beside_mates(mates, vector_features(vectors, seen, view.time))
 
     def signals(self, view: TaskView) -> jax.Array:
         """Return what robots observe of links (robots, robots): by default whether there are any."""

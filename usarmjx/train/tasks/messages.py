@@ -6,7 +6,9 @@ that time is divided among the receivers. Messages are, in bytes:
 - `pose`: position, yaw, last contact with the base: 16;
 - `plan`: the pose, and the position where the robot goes: 24;
 - `map`: the plan, and strips of its map, 5 each: the index of a strip, and 12 squares in a row of 2 bits;
-- `victims`: as `map`, of marks only.
+- `victims`: as `map`, of marks only;
+- `vector`, where a task has such: the pose, and numbers that the policy chooses, see `learned_vectors`: 16,
+  and one for each number; one more where another kind has that size, as sizes tell kinds apart.
 
 Of the strips those with most squares that the receivers may not know go first, those with marks before all.
 Each robot remembers what every other one has of its map: what it has sent over links that held, and what
@@ -16,7 +18,7 @@ Options: to send nothing; then each kind to all robots in range, to the base, an
 robots. An option is described by: position of the receiver (x, y; 1: 12 m; 0 for all), its link as others
 see it, receivers in range (1: 4), squares that they may not know (1: 1000), news that they may not have (1:
 1000 squares), marks that they may not know (1: 4), bytes for each receiver (1: 1024, at most 1), and the kind
-(4 numbers).
+(4 numbers; all 0: `vector`, whose options are the last ones).
 """
 
 from typing import NamedTuple
@@ -40,13 +42,22 @@ from usarmjx.train.mapping.maps import (
     to_robot_frame,
 )
 from usarmjx.train.tasks.goal_features import FIRST_MASK, MATES, NEAR_SCALE, NEWS_SCALE, Mates
+from usarmjx.train.tasks.learned_vectors import (
+    LEVELS,
+    VectorState,
+    heard_vectors,
+    joined_vectors,
+    no_vectors,
+    quantised,
+    split_vectors,
+)
 
 KINDS = ("pose", "plan", "map", "victims")
-POSE, PLAN, MAP, VICTIMS = range(len(KINDS))
+POSE, PLAN, MAP, VICTIMS, VECTOR = range(len(KINDS) + 1)
 RECEIVERS = 2 + MATES
 """Choices of receivers: all in range, the base, and the nearest robots."""
 OPTIONS = 1 + RECEIVERS * len(KINDS)
-"""Options of a message; the first is to send nothing."""
+"""Options of a message without vectors; the first is to send nothing."""
 OPTION_NUMBERS = 12
 """Numbers that describe an option: as many as a goal's, so that both are rows of one table."""
 POSE_BYTES, PLAN_BYTES, STRIP_BYTES = 16, 24, 5
@@ -69,6 +80,7 @@ class MessageState(struct.PyTreeNode, kw_only=True):
         strips: Strips of maps that were in it, packed; 0 elsewhere (robots, numbers).
         size: Size of it [bytes] (robots,).
         sent: Bytes sent since the episode began, each receiver counted [bytes] (robots,).
+        vectors: Memory of vectors; empty: messages have none.
     """
 
     known: jax.Array
@@ -80,6 +92,12 @@ class MessageState(struct.PyTreeNode, kw_only=True):
     strips: jax.Array
     size: jax.Array
     sent: jax.Array
+    vectors: VectorState | tuple[()] = ()
+
+    @property
+    def floats(self) -> int:
+        """Numbers of a vector; 0: messages have none."""
+        return self.vectors.sent.shape[-1] if isinstance(self.vectors, VectorState) else 0
 
 
 class Choices(NamedTuple):
@@ -88,7 +106,7 @@ class Choices(NamedTuple):
     Attributes:
         receivers: Robots in range that each choice of receivers means (robots, RECEIVERS, robots).
         room: Bytes for each of them (robots, RECEIVERS).
-        valid: Options that can be chosen (robots, OPTIONS).
+        valid: Options that can be chosen (robots, options).
     """
 
     receivers: jax.Array
@@ -96,8 +114,24 @@ class Choices(NamedTuple):
     valid: jax.Array
 
 
-def no_messages(robots: int, numbers: int) -> MessageState:
-    """Return the state of robots that know nothing of each other's maps, of a size when packed.
+def option_count(floats: int) -> int:
+    """Return the number of options, where vectors have some numbers; 0: there are none."""
+    return OPTIONS + (RECEIVERS if floats else 0)
+
+
+def vector_bytes(floats: int) -> int:
+    """Return the size of a message with a vector of some numbers [bytes]."""
+    size = POSE_BYTES + floats
+    return size + (size >= PLAN_BYTES and (size - PLAN_BYTES) % STRIP_BYTES == 0)
+
+
+def no_messages(robots: int, numbers: int, floats: int = 0) -> MessageState:
+    """Return the state of robots that know nothing of each other's maps.
+
+    Args:
+        robots: Number of robots.
+        numbers: Size of a map when packed.
+        floats: Numbers of a vector; 0: messages have none.
 
     Raises:
         UsageError: More strips than an index of two bytes names.
@@ -118,6 +152,7 @@ def no_messages(robots: int, numbers: int) -> MessageState:
         strips=jnp.zeros((robots, numbers), jnp.int32),
         size=jnp.zeros(robots, jnp.int32),
         sent=jnp.zeros(robots),
+        vectors=no_vectors(robots, floats) if floats else (),
     )
 
 
@@ -143,7 +178,10 @@ def heard(state: MessageState, mail: Inboxes) -> MessageState:
     rows = np.arange(robots)[:, None]
     came = jnp.asarray(mail.payload)[rows, jnp.maximum(last, 0), HEADER_SIZE:].astype(jnp.int32)
     came = jnp.where((last >= 0)[..., None], came[..., : state.known.shape[-1]], 0)
-    return state.replace(known=merge_numbers(state.known, came))
+    known = merge_numbers(state.known, came)
+    if isinstance(state.vectors, VectorState):
+        return state.replace(known=known, vectors=heard_vectors(state.vectors, mail))
+    return state.replace(known=known)
 
 
 def compared(state: MessageState, squares: Array, news: str, worth: float) -> MessageState:
@@ -191,7 +229,10 @@ def choices(state: MessageState, allowed: jax.Array, base: int, mates: Mates, bu
         strip & (_most(to, state.marks) > 0),
     ]
     valid = (jnp.stack(kinds, -1) & (count > 0)[..., None]).reshape(robots, -1)
-    return Choices(to, room, jnp.concatenate([jnp.ones((robots, 1), bool), valid], -1))
+    options = [jnp.ones((robots, 1), bool), valid]
+    if state.floats:
+        options.append((room >= vector_bytes(state.floats)) & (count > 0))
+    return Choices(to, room, jnp.concatenate(options, -1))
 
 
 def _most(to: jax.Array, values: jax.Array) -> jax.Array:
@@ -202,7 +243,7 @@ def _most(to: jax.Array, values: jax.Array) -> jax.Array:
 def option_features(
     state: MessageState, offered: Choices, belief: Belief, signals: jax.Array, base: int, mates: Mates
 ) -> jax.Array:
-    """Return what robots observe of their options (robots, OPTIONS * OPTION_NUMBERS).
+    """Return what robots observe of their options (robots, options * OPTION_NUMBERS).
 
     Args:
         state: The state.
@@ -232,27 +273,49 @@ def option_features(
         (_most(to, state.marks) / MARK_SCALE)[..., None],
         jnp.minimum(offered.room / BYTES_SCALE, 1.0)[..., None],
     ]
-    each = jnp.repeat(jnp.concatenate(facts, -1), len(KINDS), axis=1)
+    whole = jnp.concatenate(facts, -1)
+    each = jnp.repeat(whole, len(KINDS), axis=1)
     kind = jnp.broadcast_to(jnp.tile(jnp.eye(len(KINDS)), (RECEIVERS, 1)), (robots, OPTIONS - 1, len(KINDS)))
     described = jnp.concatenate([each, kind], -1)
-    described = jnp.concatenate([jnp.zeros((robots, 1, OPTION_NUMBERS)), described], 1)
+    rows = [jnp.zeros((robots, 1, OPTION_NUMBERS)), described]
+    if state.floats:
+        rows.append(jnp.concatenate([whole, jnp.zeros((robots, RECEIVERS, len(KINDS)))], -1))
+    described = jnp.concatenate(rows, 1)
     return jnp.where(offered.valid[..., None], described, 0.0).reshape(robots, -1)
 
 
-FIRST_OPTION, END_OF_OPTIONS = FIRST_MASK, FIRST_MASK + OPTIONS * OPTION_NUMBERS
-"""Options in an observation: their rows follow those of the goals."""
+FIRST_OPTION = FIRST_MASK
+"""Options in an observation without vectors: their rows follow those of the goals."""
 
 
-def without_options(seen: Array) -> jax.Array:
-    """Return observations (..., n) as of robots that choose goals only: without options and their mask."""
-    seen = jnp.asarray(seen)
-    return jnp.concatenate([seen[..., :FIRST_OPTION], seen[..., END_OF_OPTIONS:-OPTIONS]], -1)
+def without_options(seen: Array, floats: int = 0) -> jax.Array:
+    """Return observations (..., n) as of robots that choose goals only.
+
+    Those have neither options and their mask nor others' vectors.
+
+    Args:
+        seen: The observations.
+        floats: Numbers of a vector; 0: messages have none.
+    """
+    seen = split_vectors(seen, floats)[0] if floats else jnp.asarray(seen)
+    options = option_count(floats)
+    end = FIRST_OPTION + options * OPTION_NUMBERS
+    return jnp.concatenate([seen[..., :FIRST_OPTION], seen[..., end:-options]], -1)
 
 
-def with_options(plain: Array, seen: Array) -> jax.Array:
-    """Return observations without options (..., m) with those of other observations (..., n)."""
-    rows, mask = seen[..., FIRST_OPTION:END_OF_OPTIONS], seen[..., -OPTIONS:]
-    return jnp.concatenate([plain[..., :FIRST_OPTION], rows, plain[..., FIRST_OPTION:], mask], -1)
+def with_options(plain: Array, seen: Array, floats: int = 0) -> jax.Array:
+    """Return observations as of robots that choose goals only (..., m) with what messages add to others.
+
+    Args:
+        plain: The observations, see `without_options`.
+        seen: The other observations (..., n), with options, and vectors of robots that `plain` shows, too.
+        floats: Numbers of a vector; 0: messages have none.
+    """
+    seen, vectors = split_vectors(seen, floats) if floats else (seen, None)
+    options = option_count(floats)
+    rows, mask = seen[..., FIRST_OPTION : FIRST_OPTION + options * OPTION_NUMBERS], seen[..., -options:]
+    whole = jnp.concatenate([plain[..., :FIRST_OPTION], rows, plain[..., FIRST_OPTION:], mask], -1)
+    return whole if vectors is None else joined_vectors(whole, vectors)
 
 
 def given_option(valid: Array, *, base_first: bool) -> jax.Array:
@@ -261,7 +324,7 @@ def given_option(valid: Array, *, base_first: bool) -> jax.Array:
     They send their map, and their plan where they have nothing new; nothing where nobody is in range.
 
     Args:
-        valid: Options that can be chosen (..., OPTIONS).
+        valid: Options that can be chosen (..., options).
         base_first: Whether the base alone gets it where it is in range; else all.
     """
     to_base = [option(1, MAP)] * base_first
@@ -272,7 +335,16 @@ def given_option(valid: Array, *, base_first: bool) -> jax.Array:
 
 def option(receivers: int, kind: int) -> int:
     """Return the number of the option to send a kind to a choice of receivers."""
-    return 1 + receivers * len(KINDS) + kind
+    return OPTIONS + receivers if kind == VECTOR else 1 + receivers * len(KINDS) + kind
+
+
+def of_options(state: MessageState, chosen: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the kinds and the choices of receivers of options (robots,); those of silence mean nothing."""
+    kind, where = (chosen - 1) % len(KINDS), jnp.maximum(chosen - 1, 0) // len(KINDS)
+    if not state.floats:
+        return kind, where
+    is_vector = chosen >= OPTIONS
+    return jnp.where(is_vector, VECTOR, kind), jnp.where(is_vector, chosen - OPTIONS, where)
 
 
 def best_strips(rank: jax.Array, most: jax.Array) -> jax.Array:
@@ -291,7 +363,13 @@ def best_strips(rank: jax.Array, most: jax.Array) -> jax.Array:
     return (whole | rest) & (rank > 0)
 
 
-def posted(state: MessageState, offered: Choices, squares: Array, chosen: jax.Array) -> MessageState:
+def posted(
+    state: MessageState,
+    offered: Choices,
+    squares: Array,
+    chosen: jax.Array,
+    numbers: jax.Array | None = None,
+) -> MessageState:
     """Return the state after robots chose options (robots,), with what they send.
 
     Args:
@@ -299,9 +377,10 @@ def posted(state: MessageState, offered: Choices, squares: Array, chosen: jax.Ar
         offered: Their options.
         squares: Their maps (robots, i, j).
         chosen: The options.
+        numbers: Numbers of the robots' vectors, from -1 to 1 (robots, floats); None: messages have none.
     """
     rows, own = jnp.arange(len(chosen)), packed_maps(squares)
-    kind, where = (chosen - 1) % len(KINDS), jnp.maximum(chosen - 1, 0) // len(KINDS)
+    kind, where = of_options(state, chosen)
     to = offered.receivers[rows, where] & (chosen > 0)[:, None]
     strips = jnp.maximum(offered.room[rows, where] - PLAN_BYTES, 0.0) / STRIP_BYTES
     most = jnp.minimum(strips, own.shape[-1]).astype(jnp.int32)
@@ -312,9 +391,15 @@ def posted(state: MessageState, offered: Choices, squares: Array, chosen: jax.Ar
     marked = (packed_marks(content)[:, None] & ~packed_marks(state.known)) > 0
     rank = jnp.where(to[..., None], jnp.where(marked, MARKED, new), 0).max(1)
     has_map = (chosen > 0) & (kind >= MAP)
+    vectors = state.vectors
+    if isinstance(vectors, VectorState) and numbers is not None:
+        has_map &= kind != VECTOR
+        vectors = vectors.replace(sent=quantised(numbers))
     sent = jax.vmap(best_strips)(jnp.where(has_map[:, None], rank, 0), most)
     strips = jnp.where(sent, content, 0)
     size = jnp.where(kind == POSE, POSE_BYTES, PLAN_BYTES) + STRIP_BYTES * sent.sum(-1)
+    if state.floats:
+        size = jnp.where(kind == VECTOR, vector_bytes(state.floats), size)
     size = jnp.where(chosen > 0, size, 0)
     return state.replace(
         # Over a link that holds a message is taken to arrive: nobody confirms it.
@@ -324,26 +409,41 @@ def posted(state: MessageState, offered: Choices, squares: Array, chosen: jax.Ar
         strips=strips,
         size=size.astype(jnp.int32),
         sent=state.sent + size * to.sum(-1),
+        vectors=vectors,
     )
 
 
 def letters(state: MessageState, header: jax.Array) -> jax.Array:
-    """Return the contents of the messages that were posted last (robots, HEADER_SIZE + numbers).
+    """Return the contents of the messages that were posted last (robots, HEADER_SIZE + numbers + floats).
 
     Args:
         state: The state.
         header: Headers of the robots, see `HEADER_SIZE` (robots, HEADER_SIZE).
     """
-    bare = (state.chosen > 0) & ((state.chosen - 1) % len(KINDS) == POSE)
+    sends, vector = state.chosen > 0, list[jax.Array]()
+    kind, _ = of_options(state, state.chosen)
+    bare = sends & (kind == POSE)
+    if isinstance(state.vectors, VectorState):
+        has_vector = kind == VECTOR
+        bare |= has_vector
+        vector = [jnp.where(has_vector[:, None], state.vectors.sent, ABSENT)]
     header = header.at[:, 3:5].set(jnp.where(bare[:, None], ABSENT, header[:, 3:5]))
-    return jnp.concatenate([header, state.strips.astype(jnp.float32)], -1)
+    return jnp.concatenate([header, state.strips.astype(jnp.float32), *vector], -1)
 
 
-def encode(letter: np.ndarray) -> bytes:
-    """Return the bytes of a message (HEADER_SIZE + numbers,), little-endian, as sizes count them."""
+def encode(letter: np.ndarray, floats: int = 0) -> bytes:
+    """Return the bytes of a message, little-endian, as sizes count them.
+
+    Args:
+        letter: Its contents (HEADER_SIZE + numbers + floats,).
+        floats: Numbers of a vector at its end; 0: messages have none.
+    """
+    numbers = len(letter) - floats
     pose, plan, contact = letter[:3], letter[3:5], letter[5:HEADER_SIZE]
     head = np.concatenate([pose, contact, plan[:0] if plan[0] == ABSENT else plan]).astype("<f4").tobytes()
-    strips = letter[HEADER_SIZE:].astype(np.int64)
+    if floats and letter[numbers] != ABSENT:
+        return (head + letter[numbers:].astype(np.int8).tobytes()).ljust(vector_bytes(floats), b"\0")
+    strips = letter[HEADER_SIZE:numbers].astype(np.int64)
     parts = [
         int(index).to_bytes(2, "little") + int(strips[index]).to_bytes(3, "little")
         for index in np.flatnonzero(strips)
@@ -351,18 +451,32 @@ def encode(letter: np.ndarray) -> bytes:
     return head + b"".join(parts)
 
 
-def decode(data: bytes, numbers: int) -> np.ndarray:
-    """Return the message of some bytes (HEADER_SIZE + numbers,).
+def decode(data: bytes, numbers: int, floats: int = 0) -> np.ndarray:
+    """Return the message of some bytes (HEADER_SIZE + numbers + floats,).
+
+    Args:
+        data: The bytes.
+        numbers: Numbers of a map.
+        floats: Numbers of a vector; 0: messages have none.
 
     Raises:
         ValueError: The bytes are none of a message of maps of that many numbers.
     """
-    letter = np.zeros(HEADER_SIZE + numbers, np.float32)
+    letter = np.zeros(HEADER_SIZE + numbers + floats, np.float32)
+    letter[HEADER_SIZE + numbers :] = ABSENT
+    has_vector = bool(floats) and len(data) == vector_bytes(floats)
     rest = len(data) - PLAN_BYTES
-    if len(data) != POSE_BYTES and (rest < 0 or rest % STRIP_BYTES):
-        raise ValueError(f"a message of {len(data)} bytes, expected 16, or 24 and 5 for each strip")
-    head = np.frombuffer(data[: min(len(data), PLAN_BYTES)], "<f4")
+    if len(data) != POSE_BYTES and not has_vector and (rest < 0 or rest % STRIP_BYTES):
+        or_vector = f", or {vector_bytes(floats)}" if floats else ""
+        raise ValueError(
+            f"a message of {len(data)} bytes, expected 16, or 24 and 5 for each strip{or_vector}"
+        )
+    head = np.frombuffer(data[: POSE_BYTES if has_vector else min(len(data), PLAN_BYTES)], "<f4")
     letter[:3], letter[5], letter[3:5] = head[:3], head[3], ABSENT
+    if has_vector:
+        vector = np.frombuffer(data[POSE_BYTES : POSE_BYTES + floats], np.int8)
+        letter[HEADER_SIZE + numbers :] = np.maximum(vector, -LEVELS)  # a byte has one step more
+        return letter
     if len(data) > POSE_BYTES:
         letter[3:5] = head[4:6]
     for at in range(PLAN_BYTES, len(data), STRIP_BYTES):

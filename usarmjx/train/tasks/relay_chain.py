@@ -22,7 +22,8 @@ from usarmjx.train.mapping.maps import MapGrid, to_robot_frame
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, passable
 from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.equip import base_station, mapping_robot
-from usarmjx.train.tasks.goal_team import GoalTeam, Progress
+from usarmjx.train.tasks.goal_state import Progress
+from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.team import POSITION_SCALE, TeamMemory, TeamTask, station_slot
 
 INWARD_COST = 3.0

@@ -17,7 +17,8 @@ from usarmjx.train.mapping.belief import Belief
 from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, MapGrid, classify_scan
 from usarmjx.train.mapping.planning import box_sum
 from usarmjx.train.tasks.equip import VICTIM_FOV, victim_search_robot
-from usarmjx.train.tasks.goal_team import GoalState, GoalTeam, KnownMaps, Progress
+from usarmjx.train.tasks.goal_state import GoalState, KnownMaps, Progress
+from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.team import TeamMemory, scan_of, station_slot
 from usarmjx.train.tasks.victim_search import mark_victims, victims_there
 

@@ -346,11 +346,15 @@ class TeamTask(Task):
         scene = super().scene()
         if self.mail is not None or self.radio is None:
             return scene
-        others, numbers = max(scene.num_robots - 1, 1), HEADER_SIZE + self.arena_grid(scene).packed_size
+        others, numbers = max(scene.num_robots - 1, 1), self.letter_size(scene)
         mail = MessageSettings(
             numbers=numbers, capacity=others, bytes_per_step=BYTES_PER_NUMBER * numbers * others
         )
         return replace(scene, mail=mail)
+
+    def letter_size(self, scene: Scene) -> int:
+        """Return the numbers of a message: its header, and a packed map."""
+        return HEADER_SIZE + self.arena_grid(scene).packed_size
 
     def arena_grid(self, scene: Scene) -> MapGrid:
         """Return the squares of the scene's arenas."""

@@ -133,11 +133,11 @@ class TeamMind:
     @property
     def letter_size(self) -> int:
         """Numbers of a message."""
-        return HEADER_SIZE + self.task.arena_grid(self.scene).packed_size
+        return self.task.letter_size(self.scene)
 
     def encoded(self, letter: np.ndarray) -> bytes:
         """Return the bytes of a message (numbers,): a whole map, or its parts as `messages` counts them."""
-        return encode(letter) if self.task.parts else letter.astype("<f4").tobytes()
+        return encode(letter, self.task.message_floats) if self.task.parts else letter.astype("<f4").tobytes()
 
     def decoded(self, data: bytes) -> np.ndarray:
         """Return the message of some bytes (numbers,).
@@ -146,7 +146,8 @@ class TeamMind:
             ValueError: They are no message of this team.
         """
         if self.task.parts:
-            return decode(data, self.letter_size - HEADER_SIZE)
+            floats = self.task.message_floats
+            return decode(data, self.letter_size - HEADER_SIZE - floats, floats)
         letter = np.frombuffer(data, "<f4")
         if len(letter) != self.letter_size:
             raise ValueError(f"a message of {len(letter)} numbers, expected {self.letter_size}")
