@@ -12,7 +12,7 @@ import pytest
 
 import usarmjx
 from tests.scripts import EXAMPLES, load
-from tests.train.choice_toys import CHOICES, ChoiceToy
+from tests.train.choice_toys import CHOICES, ChoiceToy, WhisperToy
 from usarmjx.base.errors import UsageError
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.metrics import read_lines
@@ -296,3 +296,8 @@ def test_mates_that_are_not_there_are_not_attended_to():
 
     np.testing.assert_array_equal(seen(0.0, 5.0), seen(0.0, -5.0))
     assert not np.array_equal(seen(1.0, 5.0), seen(1.0, -5.0))
+
+
+def test_vectors_beside_choices_are_refused():
+    with pytest.raises(SystemExit, match="agents send vectors beside their choices"):
+        SHARED.Team(WhisperToy(2))
