@@ -91,7 +91,7 @@ def test_packaged_policies_are_found_by_their_task(tmp_path, monkeypatch):
 
 COARSE = ["trained with physics=coarse; here it is the reference's"]
 TOLD = dict.fromkeys(
-    ("explore-v2", "explore-v3", "relay-chain-v1", "relay-chain-v3", "victim-search-v3"), COARSE
+    ("explore-v2", "explore-v3", "relay-chain-v1", "relay-chain-v3", "soccer-v2", "victim-search-v3"), COARSE
 )
 """What users of a packaged policy are told: under which other physics it was trained."""
 
