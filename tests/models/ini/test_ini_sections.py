@@ -54,7 +54,7 @@ def test_a_class_section_reaches_the_scanners_of_all_robots(read):
     before = scanners()
     warnings = read("[USARBot.RangeScanner]\nMaxRange=5\n").warnings
     after = scanners()
-    assert len(after) == 12
+    assert after.keys() == before.keys() != set()
     assert {one.max_range for one in after.values()} == {5.0}
     assert not [text for text in warnings if "MaxRange" in text]
     assert {key: one.resolution for key, one in after.items()} == {
@@ -63,8 +63,9 @@ def test_a_class_section_reaches_the_scanners_of_all_robots(read):
 
 
 def test_a_class_section_reaches_the_cameras_of_all_robots(read):
+    before = cameras()
     read("[USARBot.RobotCamera]\nCameraDefFov=1.2\n")
-    assert len(cameras()) == 30
+    assert cameras().keys() == before.keys() != set()
     assert {(c.min_fov, c.default_fov, c.max_fov) for c in cameras().values()} == {(0.3491, 1.2, 2.0944)}
 
 
