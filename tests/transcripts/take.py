@@ -13,33 +13,44 @@ from pathlib import Path
 from tests.transcripts.transcript import HERE, shapes_of
 
 RECORD = re.compile(r"(\S+Z) ([><#]) (.*)")
-SHORTEST_PAUSE = 0.1  # s: less is the time that an answer takes
+REPORTS = re.compile(r"(?:STA|SEN|MISSTA|ASTA) ")
+"""Lines that come as time goes by; others answer what was said, however long that took the server."""
+TIME = re.compile(r"\{Time ([\d.]+)\}")
+SHORTEST_PAUSE = 0.1  # s: the finest that is written down
 
 
 def take(recorded, about="", dialect="manual"):
-    """Return the text of a transcript of these tests for recorded lines."""
-    steps, last = [], None
+    """Return the text of a transcript of these tests for recorded lines.
+
+    Pauses are simulated time, by the stamps of reports, from the last report before a saying: so sensors with
+    longer intervals keep their order. The first pause, with no report before it, is of the recorder's clock.
+    """
+    steps, last, start, stamp = [], None, None, None
     for number, line in enumerate(recorded.splitlines(), start=1):
         match = RECORD.fullmatch(line)
         if match is None:
             raise ValueError(f"line {number} is none of a record: {line}")
         when, direction, text = match.groups()
-        if direction == "#":
-            continue
+        now = datetime.fromisoformat(when)
         if direction == ">":
-            steps.append((f"> {text}", []))
-        elif not steps:  # the greeting is tested by itself
+            answers: list[str] = []
+            steps.append((f"> {text}", answers))
+            last, start = now, stamp
+        elif direction == "#" or not steps:  # the greeting is tested by itself
             continue
+        elif REPORTS.match(text) is None:
+            answers.append(text)
         else:
-            now = datetime.fromisoformat(when)
-            pause = (now - last).total_seconds()
-            if pause >= SHORTEST_PAUSE and steps[-1][0].startswith(">"):
-                steps.append((f"~ {pause:.1f}", []))
-            elif steps[-1][0].startswith("~"):
-                steps[-1] = (f"~ {pause:.1f}", steps[-1][1])
+            passed = (now - last).total_seconds()
+            if found := TIME.search(text):
+                stamp = float(found[1])
+                passed = passed if start is None else stamp - start
+            pause = f"~ {max(passed, SHORTEST_PAUSE):.1f}"
+            if steps[-1][0].startswith(">"):
+                steps.append((pause, []))
+            elif found:
+                steps[-1] = (pause, steps[-1][1])
             steps[-1][1].append(text)
-        if direction == ">":
-            last = datetime.fromisoformat(when)
     lines = [
         f"# {about or 'Recorded by usarmjx console --transcript.'}",
         r"ends: \r\n",

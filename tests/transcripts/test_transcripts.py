@@ -179,6 +179,37 @@ def test_what_the_console_records_is_a_test_in_one_step(world, tmp_path, dialect
         take("> DRIVE {Left 1}")
 
 
+RECORDED = """
+2026-01-01T00:00:00.000Z < NFO {Level course}
+2026-01-01T00:00:00.000Z > INIT {ClassName USARBot.P2AT}
+2026-01-01T00:00:00.010Z > GETCONF {Type Robot}
+2026-01-01T00:00:00.170Z < CONF {Type GroundVehicle}
+2026-01-01T00:00:00.250Z < SEN {Time 1.8600} {Type Sonar}
+2026-01-01T00:00:00.450Z < SEN {Time 2.06} {Type RangeScanner}
+2026-01-01T00:00:00.610Z > DRIVE {Left 1}
+2026-01-01T00:00:00.650Z < SEN {Time 2.2600} {Type Sonar}
+2026-01-01T00:00:01.350Z < STA {Time 2.86}
+2026-01-01T00:00:01.350Z < SEN {Type Odometry}
+"""
+
+
+def test_pauses_of_a_record_are_simulated_time_however_late_answers_and_reports_come():
+    steps = take(RECORDED.strip(), about="Slow.").splitlines()[3:]
+    assert steps == [
+        "> INIT {ClassName USARBot.P2AT}",
+        "> GETCONF {Type Robot}",
+        "< CONF {Type GroundVehicle}",
+        "~ 0.4",
+        "< SEN {Time #} {Type Sonar}",
+        "< SEN {Time #} {Type RangeScanner}",
+        "> DRIVE {Left 1}",
+        "~ 0.8",
+        "< SEN {Time #} {Type Sonar}",
+        "< STA {Time #}",
+        "< SEN {Type Odometry}",
+    ]
+
+
 # MOAST, and NIST's node for ROS
 
 
