@@ -112,3 +112,20 @@ def simpleui_sonars(line: str) -> dict[str, float]:
     items = [text.split() for text in simpleui_texts(line, "Name")]
     assert len(items) <= 32
     return {words[0]: float(words[words.index("Range") + 1]) for words in items}
+
+
+def controller_pieces(line: str) -> list[str]:
+    """USARSimController's way: pieces between `} {` from the type on, known by their places."""
+    start = line.index("{Type ") + len("{Type ")
+    return line[start:].removesuffix("}").split("} {")
+
+
+def controller_numbers(piece: str) -> list[float]:
+    """Return the numbers between commas behind a piece's key."""
+    return [float(text) for text in piece.split(" ")[1].split(",")]
+
+
+def controller_state(line: str) -> dict[str, int]:
+    """Return the numbers of a state that must be whole: the text behind each key, up to the next brace."""
+    keys = ("LightIntensity", "Battery", "View")
+    return {key: int(line[line.index(key) + len(key) + 1 :].split("}")[0]) for key in keys}

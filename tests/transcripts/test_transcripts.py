@@ -14,6 +14,9 @@ from tests.server.test_adapter import House, heard
 from tests.transcripts import strict
 from tests.transcripts.readers import (
     ScalarReader,
+    controller_numbers,
+    controller_pieces,
+    controller_state,
     player_mounts,
     player_sonars,
     player_value,
@@ -509,3 +512,60 @@ def test_simpleuis_buttons_drive_turn_the_camera_by_steps_and_zoom(played):
     pan, tilt = (simple.joints[f"CameraPanTilt_Link{link}"] for link in (1, 2))
     assert (pan, tilt) == pytest.approx((-2 * 0.1917, 0.1917), abs=CLOSE)
     assert simple.robot.fovs[0] == pytest.approx(0.7854)
+
+
+# USARSimController, a library in Java, and the examples of its author: recorded while the programs ran
+
+
+@pytest.mark.parametrize("name", ["hellorobot", "moverobot", "usarsimcontroller"])
+def test_usarsimcontroller_reads_the_place_and_the_state_of_its_robot(played, name):
+    one = played[name]
+    kind, _, location, orientation = controller_pieces(one.last("{Type GroundTruth}"))
+    (x, y, z), (*_, yaw) = controller_numbers(location), controller_numbers(orientation)
+    assert kind == "GroundTruth"
+    assert (x, -y, -z) == pytest.approx(one.poses[-1][:3], abs=0.006)
+    assert math.remainder(yaw + one.poses[-1][3], math.tau) == pytest.approx(0.0, abs=0.006)
+    for line in one.all:
+        if line.startswith("STA"):
+            state = controller_state(line)
+            assert (state["LightIntensity"], state["View"]) == (0, -1)
+            assert state["Battery"] > 1000
+
+
+@pytest.mark.parametrize("name", ["hellorobot", "usarsimcontroller"])
+def test_usarsimcontroller_reads_ranges_by_their_places(played, name):
+    _, *sonars = controller_pieces(played[name].last("{Type Sonar}"))
+    words = [piece.split(" ") for piece in sonars]
+    assert [word[1] for word in words] == [f"{side}{number}" for side in "FR" for number in range(1, 9)]
+    assert all(0.1 <= float(word[3]) <= 5.0 for word in words)
+    _, scanner, step, fov, ranges = controller_pieces(played[name].last("{Type RangeScanner}"))
+    assert scanner == "Name Scanner1"
+    assert (controller_numbers(step), controller_numbers(fov)) == ([0.0174], [3.1415])
+    assert len(controller_numbers(ranges)) == 181, "MAX_LASER of its constants"
+
+
+def test_hellorobot_falls_from_its_place_on_another_map_to_the_floor(played):
+    start, end = played["hellorobot"].pose_after("INIT"), np.array(played["hellorobot"].poses[-1])
+    assert start[:3] == pytest.approx((47.17, 55.7, 2.25), abs=0.02)
+    assert end[:2] == pytest.approx(start[:2], abs=0.02)
+    assert 0.1 < end[2] < 0.3, "on its wheels"
+
+
+def test_moverobot_climbs_and_flies_ahead_at_a_metre_a_second(played):
+    move = played["moverobot"]
+    start, end = move.pose_after("DRIVE"), np.array(move.poses[-1])
+    assert end[1] == pytest.approx(start[1], abs=0.05)
+    assert end[[0, 2]] - start[[0, 2]] == pytest.approx((3.6, 3.6), abs=0.6), "less the time to get up speed"
+
+
+def test_usarsimcontroller_drives_ahead_turns_to_the_right_and_stops(played):
+    one = played["usarsimcontroller"]
+    says = ("DRIVE {Left 2.000000} {Right 2", "DRIVE {Left 2.000000} {Right -2", "DRIVE {Left 0")
+    start, ahead, turned = (one.pose_after(say) for say in says)
+    assert ahead - start == pytest.approx((0.26 * 1.8, 0.0, 0.0, 0.0), abs=0.05), "2 rad/s, wheels of 0.13 m"
+    assert turned[3] < ahead[3] - 0.8
+    end = np.array(one.poses[-1])
+    assert end[:3] == pytest.approx(turned[:3], abs=0.02)
+    assert end[3] == pytest.approx(turned[3], abs=0.1), "it brakes from 0.8 rad/s"
+    _, _, pose = controller_pieces(one.last("{Type Odometry}"))
+    assert controller_numbers(pose)[0] == pytest.approx(ahead[0] - start[0], abs=0.05)
