@@ -314,7 +314,7 @@ def test_test_runs_share_programs_unless_another_folder_or_none_is_asked_for(
         users.touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(users))
     monkeypatch.setattr(environment.subprocess, "run", run)
-    environment.run_steps(checkout.environment, [["-m", "good"]])
+    environment.run_steps(checkout.environment, [["-m", "pytest"]])
     kept = users / "usarmjx-tests" if can_write else checkout.environment.root / "build" / "tests"
     assert seen == [given or str(kept)]
 
