@@ -212,3 +212,10 @@ def test_kernels_of_a_served_batch_are_compiled_with_the_block_sizes_of_a_gpu(mo
     sizes = sorted(one.block_dim for one in modules if "newton_kernel" in one.module.name)
     assert sizes == sorted(one.block for one in CLASSES)
     assert f"{len(modules)} modules" in result.stderr
+
+
+@pytest.mark.parametrize("architecture", ["51", "999", "-1"])
+def test_architectures_that_warp_cannot_compile_for_are_refused_in_a_line(architecture):
+    result = CliRunner().invoke(app, ["kernels", "90", "--", architecture])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert f"compute capability {architecture}: Warp compiles for 75, 80," in result.stderr

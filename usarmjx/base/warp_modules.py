@@ -12,6 +12,7 @@ from importlib import import_module
 from threading import Lock, get_ident
 from typing import Any, NamedTuple
 
+from usarmjx.base.errors import UsageError
 from usarmjx.base.process import cores
 
 log = logging.getLogger(__name__)
@@ -119,6 +120,18 @@ def block_sizes_of_gpus() -> Generator[None]:
         yield
     finally:
         config.enable_cpu_blocks = usual
+
+
+def check_architectures(architectures: Sequence[int]) -> None:
+    """Refuse compute capabilities, 90 for 9.0, that Warp cannot compile for.
+
+    Raises:
+        UsageError: Names one, and those that it can.
+    """
+    known = import_module("warp").get_cuda_supported_archs()
+    for one in architectures:
+        if one not in known:
+            raise UsageError(f"compute capability {one}: Warp compiles for {', '.join(map(str, known))}")
 
 
 def compile_for(modules: Sequence[WarpModule], architectures: Sequence[int]) -> None:

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
 
 
 def kernels(
-    architectures: Annotated[
-        list[int], typer.Argument(min=50, help="Compute capabilities of the GPUs: 90 for 9.0.")
-    ],
+    architectures: Annotated[list[int], typer.Argument(help="Compute capabilities of the GPUs: 90 for 9.0.")],
     arena: ArenaOption = WorldsOptions.arena,
     roster: RosterOption = WorldsOptions.roster,
 ) -> None:
@@ -28,8 +26,9 @@ def kernels(
         check_roster(roster)
         known = ", ".join(f"{one / 10:.1f}" for one in architectures)
         announce(f"compiling kernels for compute capability {known} ...", engines=("warp",))  # before JAX
-        from usarmjx.base.warp_modules import block_sizes_of_gpus, compile_for
+        from usarmjx.base.warp_modules import block_sizes_of_gpus, check_architectures, compile_for
 
+        check_architectures(architectures)
         with block_sizes_of_gpus():
             modules = _served_engine(arena, roster).modules_of_step()
         compile_for(modules, architectures)
