@@ -115,6 +115,8 @@ def test_details_of_services_are_those_that_roslib_and_roslibpy_ask(ros):
     assert list(twist) == definition["fieldnames"]
     _, later = values(ros, "service_response_details", type="rosapi_msgs/srv/MessageDetails")["typedefs"]
     assert later["type"] == "rosapi_msgs/msg/TypeDef"
+    (same,) = values(ros, "message_details", type=later["type"])["typedefs"]
+    assert same == later
     assert ros.call("/rosapi/service_request_details", type="no/Such")["result"] is False
 
 

@@ -392,7 +392,7 @@ class RosApi:
     def _details(self, args: Mapping[str, Any]) -> RosMessage:
         """Return the fields of a type and of the types in it."""
         asked = _text(args, "type")
-        name = asked.replace("/msg/", "/")
+        name = asked.replace("/msg/", "/").replace("rosapi_msgs/", "rosapi/")
         return {"typedefs": self._definitions(asked, name, self._fields(asked, name))}
 
     def _service_details(self, args: Mapping[str, Any], part: str) -> RosMessage:
