@@ -17,7 +17,16 @@ from usarmjx.train.learning.train_state import policy_params
 from usarmjx.train.make import make
 from usarmjx.train.mapping.maps import FREE, MapGrid
 from usarmjx.train.tasks import TASKS, Buildings
-from usarmjx.train.tasks.goal_features import FIRST_GOAL, GOAL_NUMBERS, GOALS, chosen_goal
+from usarmjx.train.tasks.goal_features import (
+    FIRST_GOAL,
+    FIRST_MATE,
+    GOAL_NUMBERS,
+    GOALS,
+    MATE_NUMBERS,
+    OBSERVED_MATES,
+    chosen_goal,
+)
+from usarmjx.train.tasks.learned_vectors import joined_vectors
 from usarmjx.train.tasks.oracle_view import oracle_obs, true_news, way_beyond
 
 GRID = MapGrid(low=(0.0, 0.0), cell=CELL, shape=(40, 40))
@@ -44,6 +53,7 @@ class HallTask:
     """Stand-in for a task, with the methods that the view calls; the robot is in slot 1."""
 
     news_kind, news_worth = FREE, 1.0
+    message_floats = 0
     unfound = TASKS.get("explore-v3").unfound
 
     def arena_grid(self, scene):
@@ -71,6 +81,20 @@ def test_frontiers_count_with_the_way_to_what_lies_beyond():
     assert goals[[LEFT, RIGHT], 2].tolist() == pytest.approx([(9 + 17) / 100, (12 + 4) / 100], abs=1e-4)
     assert float(known[0, 5]) == pytest.approx(news / 1000)
     assert chosen_goal(known[0], CELL, report=False) == RIGHT
+
+
+def test_vectors_of_others_move_no_number_that_the_oracle_knows_better():
+    task, memory, seen = HallTask(), memory_of(), observation(frontiers=((LEFT, 9.0), (RIGHT, 12.0)))
+    mate = np.zeros((OBSERVED_MATES, MATE_NUMBERS), np.float32)
+    mate[0, 0] = 1.0
+    seen[FIRST_MATE:FIRST_GOAL] = mate.ravel()
+    (known,) = oracle_obs(task, SCENE, memory, (jnp.asarray(seen[None]),))
+    task.message_floats = 3
+    vectors = np.zeros((1, OBSERVED_MATES, 3 + 2), np.float32)
+    vectors[0, 0] = (1.0, 0.25, -0.5, 0.5, 1.0)
+    with_vectors = joined_vectors(seen[None], jnp.asarray(vectors))
+    (found,) = oracle_obs(task, SCENE, memory, (with_vectors,))
+    np.testing.assert_array_equal(found, joined_vectors(known, jnp.asarray(vectors)))
 
 
 def test_teachers_are_checked():

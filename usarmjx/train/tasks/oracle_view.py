@@ -23,6 +23,7 @@ from usarmjx.train.tasks.goal_features import (
     NEWS_SCALE,
 )
 from usarmjx.train.tasks.goal_team import GoalTeam
+from usarmjx.train.tasks.learned_vectors import joined_vectors, split_vectors
 from usarmjx.train.tasks.team import TeamMemory, station_slot
 
 LENGTH, GAIN, NEWS = 2, 3, 10
@@ -45,10 +46,14 @@ def oracle_obs(
     beyond = jnp.where(np.arange(GOALS) >= 1 + MATES, beyond, 0.0)
     news = true_news(task, scene, memory) / NEWS_SCALE
     rows = zip(obs, task.per_group(scene, beyond), task.per_group(scene, news), strict=True)
-    return tuple(_known(seen, beyond, news) for seen, beyond, news in rows)
+    return tuple(_known(seen, beyond, news, task.message_floats) for seen, beyond, news in rows)
 
 
-def _known(seen: jax.Array, beyond: jax.Array, news: jax.Array) -> jax.Array:
+def _known(seen: jax.Array, beyond: jax.Array, news: jax.Array, floats: int) -> jax.Array:
+    if floats:
+        # Vectors stand among the numbers of the others, before the goals.
+        plain, vectors = split_vectors(seen, floats)
+        return joined_vectors(_known(plain, beyond, news, 0), vectors)
     goals = seen[:, FIRST_GOAL:FIRST_MASK].reshape(-1, GOALS, GOAL_NUMBERS)
     goals = goals.at[..., LENGTH].add(beyond).at[..., GAIN].set(0.0).at[:, 0, NEWS].set(news)
     seen = seen.at[:, OWN_NEWS].set(news)
