@@ -229,13 +229,13 @@ def test_a_robot_is_named_by_its_class_and_so_is_the_mount_of_its_items(asked, t
 @pytest.mark.parametrize("name", ["", " {Name Camera}"])
 def test_a_single_camera_has_a_name(name):
     """Item.uc: CONF of every item begins with it."""
-    told = {}
+    answers = {}
     for dialect in (MANUAL, UDK):
         client = Client(StillWorld(), "A", dialect=dialect)
         say(client, "INIT {ClassName USARBot.P2AT} {Name R}")
-        (told[dialect.name],) = say(client, f"GETCONF {{Type Camera}}{name}")
-    assert told["manual"].startswith("CONF {Type Camera} {CameraDefFov ")
-    assert told["udk"] == told["manual"].replace("{Type Camera}", "{Type Camera} {Name Camera}")
+        (answers[dialect.name],) = say(client, f"GETCONF {{Type Camera}}{name}")
+    assert answers["manual"].startswith("CONF {Type Camera} {CameraDefFov ")
+    assert answers["udk"] == answers["manual"].replace("{Type Camera}", "{Type Camera} {Name Camera}")
 
 
 def test_what_is_no_turning_rate_changes_nothing():
