@@ -1,6 +1,6 @@
 """Toys of robots that choose one of a set, and of robots that tell each other what to choose.
 
-What to choose has a closed form.
+The right choice has a closed form.
 """
 
 from dataclasses import replace

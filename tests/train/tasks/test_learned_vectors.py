@@ -162,7 +162,7 @@ def whispered():
 
 
 def others_of(task, view, memory):
-    """What robots observe of others (robots, others, n)."""
+    """Numbers that robots observe of others (robots, others, n)."""
     seen = np.asarray(task.observe(view, memory)[0])
     span = task.layout(view.scene).others_span
     return seen[:, span.first : span.end].reshape(len(seen), span.rows, span.numbers)
@@ -205,9 +205,8 @@ def test_nobody_hears_over_a_link_that_does_not_hold():
     assert not others_of(TASK, view, memory)[..., MATE_NUMBERS:].any()
 
 
-def test_other_messages_carry_no_vector(whispered):
+def test_other_messages_carry_no_vector():
     """Numbers of an action count with the options of vectors alone."""
-    del whispered
     view, memory, _ = mission(TASK, linked((1, 2)), option(EVERYONE, 0))[3]
     assert float(memory.extra.messaging.sent[1]) == 16
     assert not others_of(TASK, view, memory)[..., MATE_NUMBERS:].any()
@@ -260,10 +259,22 @@ def test_policies_of_goals_play_beside_vectors(whispered):
     seen, size = TASK.observe(view, memory)[0], TASK.action_size
     group = AgentGroup("P2AT", ("a", "b"), seen.shape[-1], size, True, TASK.layout(view.scene), TASK.vector)
     env = SimpleNamespace(name="explore-v3", task=TASK, groups=(group,))
-    for policy in (load_policy("explore-v3").policy(env), BASELINES.get("explore-v3")(env)):
-        action = np.asarray(policy.act(policy.initial_carry(1), (seen[None],), jax.random.key(0))[1][0][0])
-        assert action.shape == (2, size)
-        assert not action[:, GOALS + OPTIONS :].any()
+    task = replace(TASK, actions="goals", message_floats=0)
+    of_goals = AgentGroup("P2AT", ("a", "b"), OBSERVATION_SIZE, GOALS, True, task.layout(view.scene))
+    plain = SimpleNamespace(name="explore-v3", task=task, groups=(of_goals,))
+
+    def act(policy, obs):
+        return np.asarray(policy.act(policy.initial_carry(1), (obs[None],), jax.random.key(0))[1][0][0])
+
+    for make_policy in (load_policy("explore-v3").policy, BASELINES.get("explore-v3")):
+        for step, due in ((2, False), (4, True)):
+            seen = TASK.observe(*whispered[step][:2])[0]
+            action = act(make_policy(env), seen)
+            assert action.shape == (2, size)
+            assert (action[:, : GOALS + OPTIONS].sum(-1) == 1.0).all()
+            assert not action[:, GOALS + OPTIONS :].any()
+            goals = act(make_policy(plain), without_options(seen, FLOATS))
+            assert (action[:, :GOALS] == goals).all() if due else not action[:, :GOALS].any()
 
 
 def test_vectors_without_choices_of_messages_are_refused():

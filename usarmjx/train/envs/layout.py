@@ -52,7 +52,7 @@ class ActionVector(NamedTuple):
 
     Attributes:
         size: Count of the numbers; 0: there are none.
-        choices: The last choices, with which alone they count.
+        choices: Number of the last choices, with which alone they count.
     """
 
     size: int = 0
@@ -165,8 +165,8 @@ def layout_from_record(held: Any) -> ObservationLayout:  # noqa: ANN401 - whatev
     if not isinstance(held, dict) or cast(dict[str, Any], held).keys() != {"own", *ROWS}:
         raise ValueError(f"its layout has other parts than own, {', '.join(ROWS)}")
     parts = cast(dict[str, Any], held)
-    rows = {name: _whole_numbers(name, parts[name], count) for name, count in ROWS.items()}
-    (own,) = _whole_numbers("own", [parts["own"]], 1)
+    rows = {name: _whole_numbers(f"{name} of its layout", parts[name], count) for name, count in ROWS.items()}
+    (own,) = _whole_numbers("own of its layout", [parts["own"]], 1)
     others, choices, picture = (rows[name] for name in ("others", "choices", "picture"))
     return ObservationLayout(
         own=own,
@@ -181,10 +181,10 @@ def vector_from_record(held: Any, action_size: int) -> ActionVector:  # noqa: AN
     """Return the vector of a record in a file, for actions of a size.
 
     Raises:
-        ValueError: It has none of whole numbers that leave as many choices as count with it.
+        ValueError: It is no pair of whole numbers from 1, or leaves too few choices.
     """
-    size, choices = _whole_numbers("vector", held, 2)
-    if not 0 < size <= size + choices <= action_size or not choices:
+    size, choices = _whole_numbers("vector of its group", held, 2)
+    if not size or not choices or size + choices > action_size:
         raise ValueError(f"vector of its group is {[size, choices]}, in actions of {action_size} numbers")
     return ActionVector(size, choices)
 
@@ -194,5 +194,5 @@ def _whole_numbers(name: str, value: Any, count: int) -> tuple[int, ...]:  # noq
     text, rows = str(value)[:40], cast(list[Any], value) if isinstance(value, list) else []
     whole = all(isinstance(one, int) and not isinstance(one, bool) and 0 <= one <= LARGEST for one in rows)
     if not rows or not whole or (count and len(rows) != count):
-        raise ValueError(f"{name} of its layout is {text}")
+        raise ValueError(f"{name} is {text}")
     return tuple(rows)

@@ -106,7 +106,7 @@ class MixedDistribution:
         """Return the parts of the choice and of the vector, of parameters, samples or actions (..., n)."""
         return both[..., : self.choices], both[..., self.choices :]
 
-    def spoken(self, shares: jax.Array) -> jax.Array:
+    def vector_share(self, shares: jax.Array) -> jax.Array:
         """Return the sum over the choices that the vector counts with (...), of shares (..., choices)."""
         return shares[..., -self.vector.choices :].sum(-1)
 
@@ -138,7 +138,7 @@ class MixedDistribution:
         """Return the logarithm of the probability of a choice, and of the vector where it counts (...)."""
         (logits, numbers), (choice, vector) = self.split(parameters), self.split(sample)
         density: Any = self.numbers.log_prob(numbers, vector)
-        return self.choice.log_prob(logits, choice) + self.spoken(choice) * density
+        return self.choice.log_prob(logits, choice) + self.vector_share(choice) * density
 
     def entropy(self, parameters: jax.Array, key: jax.Array) -> jax.Array:
         """Return the entropy [nat] (...): of the choice, and of the vector by its probability to count.
@@ -147,7 +147,7 @@ class MixedDistribution:
         """
         logits, numbers = self.split(parameters)
         of_vector: Any = self.numbers.entropy(numbers, key)
-        counts = self.spoken(jax.nn.softmax(logits))
+        counts = self.vector_share(jax.nn.softmax(logits))
         return self.choice.entropy(logits, key) + counts * of_vector
 
 

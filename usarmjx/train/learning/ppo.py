@@ -13,7 +13,7 @@ bring. A task may hide from the policy inputs of its baseline; the teacher sees 
 from collections.abc import Callable
 from copy import copy
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import Memory
 from usarmjx.train.envs.task import Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.distributions import ChoiceDistribution, MixedDistribution
+from usarmjx.train.learning.distributions import ChoiceDistribution, Distribution, MixedDistribution
 from usarmjx.train.learning.league import update_league
 from usarmjx.train.learning.networks import apply_network, fold_all, fold_each, update_statistics
 from usarmjx.train.learning.processes import PROCESS_AXIS
@@ -41,10 +41,6 @@ from usarmjx.train.learning.trajectory import RolloutEnds, Trajectory
 from usarmjx.train.policies.sources import load_policy
 from usarmjx.train.tasks.goal_team import GoalTeam
 from usarmjx.train.tasks.oracle_view import oracle_obs
-
-if TYPE_CHECKING:
-    from usarmjx.train.learning.distributions import Distribution
-
 
 BASELINE, ORACLE = "baseline", "oracle"
 """Teachers that are no policies of one's own."""
@@ -115,13 +111,13 @@ def reset_carry(teacher: Policy, carry: Carry, done: jax.Array) -> Carry:
 
 
 def imitation_loss(
-    kind: "Distribution", logits: jax.Array, teacher_action: jax.Array, deviation: float
+    kind: Distribution, logits: jax.Array, teacher_action: jax.Array, deviation: float
 ) -> jax.Array:
     """Return the imitation loss: distance of modes from the teacher's actions, and of deviations.
 
     Args:
         kind: The family of distributions.
-        logits: Its parameters (..., 2 action_size).
+        logits: Its parameters (..., outputs).
         teacher_action: The teacher's action, from -1 to 1 (..., action_size).
         deviation: Target deviation of actions before they are squashed, see `Config.imitation_std`.
 
@@ -134,7 +130,7 @@ def imitation_loss(
     if isinstance(kind, MixedDistribution):
         (logits, numbers), (choice, vector) = kind.split(logits), kind.split(teacher_action)
         of_vector = imitation_loss(kind.numbers, numbers, vector, deviation)
-        return imitation_loss(kind.choice, logits, choice, deviation) + kind.spoken(choice) * of_vector
+        return imitation_loss(kind.choice, logits, choice, deviation) + kind.vector_share(choice) * of_vector
     # A baseline may command beyond the limits, which no squashed action can reach.
     error = kind.mode(logits) - jnp.clip(teacher_action, -1.0, 1.0)
     std_error = kind.create_dist(logits).scale - deviation

@@ -413,7 +413,7 @@ def save_policy(
 
 
 def group_record(group: "AgentGroup", layout: ObservationLayout | None = None) -> dict[str, Any]:
-    """Return what a file has of a group: `discrete` and `vector` only where it has it, for older readers.
+    """Return what a file has of a group: `discrete` and `vector` only where it has them, for older readers.
 
     Args:
         group: The group.

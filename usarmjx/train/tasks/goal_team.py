@@ -18,7 +18,7 @@ from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.layout import NO_PICTURE, NO_VECTOR, ActionVector, ObservationLayout, Picture
 from usarmjx.train.envs.presence import Presence, drawn_team, remaining_robots
 from usarmjx.train.envs.task import StepResult, TaskView
-from usarmjx.train.mapping.belief import HEADER_SIZE, SECTOR_COUNT, Belief, headers, update_base_contact
+from usarmjx.train.mapping.belief import SECTOR_COUNT, Belief, headers, update_base_contact
 from usarmjx.train.mapping.maps import FREE, MARK, WALL, MapGrid, to_robot_frame, unpack
 from usarmjx.train.mapping.planning import (
     WAY_SQUARES,
@@ -632,7 +632,7 @@ class GoalTeam(TeamTask):
         share = there / jnp.maximum(there.sum(), 1.0)
         if self.parts:
             return (self.message_state(memory).sent[agents] * share).sum()
-        size = BYTES_PER_NUMBER * (HEADER_SIZE + self.arena_grid(view.scene).packed_size)
+        size = BYTES_PER_NUMBER * self.letter_size(view.scene)
         links = (_linked(view) & self.recipients(view.scene))[agents].sum(-1)
         return extra.bytes_sent + size * (links * share).sum()
 

@@ -390,10 +390,9 @@ def posted(
     new = _count(packed_known(changed))
     marked = (packed_marks(content)[:, None] & ~packed_marks(state.known)) > 0
     rank = jnp.where(to[..., None], jnp.where(marked, MARKED, new), 0).max(1)
-    has_map = (chosen > 0) & (kind >= MAP)
+    has_map = (chosen > 0) & ((kind == MAP) | (kind == VICTIMS))
     vectors = state.vectors
     if isinstance(vectors, VectorState) and numbers is not None:
-        has_map &= kind != VECTOR
         vectors = vectors.replace(sent=quantised(numbers))
     sent = jax.vmap(best_strips)(jnp.where(has_map[:, None], rank, 0), most)
     strips = jnp.where(sent, content, 0)
