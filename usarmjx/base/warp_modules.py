@@ -128,7 +128,13 @@ def check_architectures(architectures: Sequence[int]) -> None:
     Raises:
         UsageError: Names one, and those that it can.
     """
-    known = import_module("warp").get_cuda_supported_archs()
+    warp = import_module("warp")
+    level, warp.config.log_level = warp.config.log_level, warp.LOG_ERROR
+    # Its first use prints a banner on the standard output, which is for results.
+    try:
+        known = warp.get_cuda_supported_archs()
+    finally:
+        warp.config.log_level = level
     for one in architectures:
         if one not in known:
             raise UsageError(f"compute capability {one}: Warp compiles for {', '.join(map(str, known))}")
