@@ -109,7 +109,11 @@ SERVICE_TYPES: Mapping[str, ServiceType] = {
 """Types by the names of services."""
 
 
+def short_name(name: str) -> str:
+    """Return the name of a type of a message or service in ROS 1's form, of either version's."""
+    return name.replace("/msg/", "/").replace("/srv/", "/").replace("rosapi_msgs/", "rosapi/")
+
+
 def find_service_type(name: str) -> ServiceType | None:
     """Return the type of a name in either version's form; None if no service has it."""
-    parts = name.replace("/srv/", "/").replace("rosapi_msgs/", "rosapi/")
-    return next((one for one in SERVICE_TYPES.values() if one.name == parts), None)
+    return next((one for one in SERVICE_TYPES.values() if one.name == short_name(name)), None)

@@ -36,6 +36,7 @@ from usarmjx.server.rosbridge.service_types import (
     TYPE_DEFINITION,
     TYPE_DEFINITION_FIELDS,
     find_service_type,
+    short_name,
 )
 from usarmjx.server.rosbridge.topics import TRAJECTORY, WorldTopics
 from usarmjx.server.worlds.robot import Robot
@@ -378,7 +379,7 @@ class RosApi:
         return {**self._list(args), "typedefs_full_text": texts}
 
     def _of_type(self, args: Mapping[str, Any]) -> RosMessage:
-        wanted = str(args.get("type", "")).replace("/msg/", "/")
+        wanted = short_name(str(args.get("type", "")))
         return {"topics": [topic.name for topic in self._topics.all().values() if topic.type == wanted]}
 
     def _type(self, args: Mapping[str, Any]) -> RosMessage:
@@ -392,7 +393,7 @@ class RosApi:
     def _details(self, args: Mapping[str, Any]) -> RosMessage:
         """Return the fields of a type and of the types in it."""
         asked = _text(args, "type")
-        name = asked.replace("/msg/", "/").replace("rosapi_msgs/", "rosapi/")
+        name = short_name(asked)
         return {"typedefs": self._definitions(asked, name, self._fields(asked, name))}
 
     def _service_details(self, args: Mapping[str, Any], part: str) -> RosMessage:
