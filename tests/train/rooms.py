@@ -20,6 +20,14 @@ from usarmjx.train.tasks.team import scanner_poses
 WIDTH, DEPTH = 6.0, 3.0
 
 
+def linked(steps, *pairs):
+    """Links of the base and two robots in all steps (steps, 3, 3)."""
+    table = np.zeros((steps, 3, 3), bool)
+    for i, j in pairs:
+        table[:, i, j] = table[:, j, i] = True
+    return table
+
+
 def room(starts, victims=(), width=WIDTH, depth=DEPTH):
     """A room of that size with robots' start poses x, y and victims' x, y; walls 5 cm thick around it."""
     sides = [

@@ -1,6 +1,7 @@
 """Vectors that robots send: bytes, contents on the wire, and what others observe, by scalar references."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.train import rooms
 from tests.train.rooms import play, room
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.mail import MessageSettings, empty_inboxes
@@ -39,6 +41,7 @@ FLOATS = 3
 EVERYONE, BASE, NEAR = 0, 1, 2
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9))
 STEPS = 8
+linked = partial(rooms.linked, STEPS + 1)
 TASK = ExploreBase(
     arena=room(STARTS),
     count=2,
@@ -134,14 +137,6 @@ def test_the_last_vector_of_each_sender_counts_and_its_age_is_from_sending():
     assert not seen[0, 1:].any()
     assert not seen[1:].any(), "nothing came for them"
     assert not np.asarray(vector_features(state, mates, 44.5)).any(), "older than 40 s"
-
-
-def linked(*pairs):
-    """Links of the base and two robots in all steps."""
-    table = np.zeros((STEPS + 1, 3, 3), bool)
-    for i, j in pairs:
-        table[:, i, j] = table[:, j, i] = True
-    return table
 
 
 def mission(task, links, chosen):

@@ -1,6 +1,7 @@
 """Messages that robots choose: their sizes, contents and receivers, beside brute force and closed forms."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.train import rooms
 from tests.train.rooms import play, room
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.mail import MessageSettings, empty_inboxes
@@ -53,6 +55,7 @@ BASE, NEAR = 1, 2
 """Choices of receivers: the base, and the nearest robot; 0 is all."""
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9))
 STEPS = 20
+linked = partial(rooms.linked, STEPS + 1)
 TASK = ExploreBase(
     arena=room(STARTS), count=2, episode_steps=STEPS, price=0.0, hint=0.0, hold=4, actions="goals+message"
 )
@@ -186,14 +189,6 @@ def test_the_fixed_protocol_sends_maps_to_the_base_then_to_all_then_plans():
 
 
 # In a room.
-
-
-def linked(*pairs):
-    """Links of the base and two robots in all steps."""
-    table = np.zeros((STEPS + 1, 3, 3), bool)
-    for i, j in pairs:
-        table[:, i, j] = table[:, j, i] = True
-    return table
 
 
 def actions_of(task, first, second):
