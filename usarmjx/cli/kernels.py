@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from usarmjx.cli.common import ArenaOption, ErrorExit, announce, say
-from usarmjx.cli.known_names import check_name, check_roster
+from usarmjx.cli.known_names import check_roster
 from usarmjx.cli.serve import RosterOption, WorldsOptions
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ def kernels(
     Two kernels, which compile in two seconds, depend on whether a GPU is here: its first step adds them.
     """
     with ErrorExit():
-        check_name("arena", arena)
         check_roster(roster)
         known = ", ".join(f"{one / 10:.1f}" for one in architectures)
         announce(f"compiling kernels for compute capability {known} ...", engines=("warp",))  # before JAX
