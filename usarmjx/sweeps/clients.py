@@ -59,6 +59,7 @@ class _Served(PolicyBatch):
     def _step(self) -> None:
         super()._step()
         state = jax.device_get(self._policy_state)
+        # A world that is in a later episode has closed its first.
         ended = np.isnan(self.scores) & (state.episode > 0)
         self.scores[ended] = state.score[ended]
         self.lengths[ended] = self.steps // self.env.task.repeat
@@ -184,6 +185,7 @@ def _started(command: str, ports: Sequence[int]) -> Generator[list[subprocess.Po
         guard = end_with_this_process(children() - before)
         yield clients
     finally:
+        # All first, so that the waits do not add up.
         for client in clients:
             client.terminate()
         for client in clients:

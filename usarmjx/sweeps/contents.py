@@ -73,6 +73,7 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: KnownDig
     own = rename_tasks({name: value for name, value in settings.items() if name != "method"}, key_name)
     own["policy"] = rename_policy(own["policy"], KEY_POLICIES)
     contents = cell_contents(cell, KnownDigests() if known is None else known)
+    # Sorted: the order of settings in a file does not matter.
     text = json.dumps([KEY_FORMAT, own, contents], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH]
 
@@ -138,6 +139,7 @@ def policy_digest(policy: object, weights: Any) -> str:  # noqa: ANN401 - a tree
 
 def _files_digest(place: Path) -> str:
     """Return a hash of a file, or of the files in a folder."""
+    # Sorted, as file systems list files in orders of their own.
     files = sorted(one for one in place.rglob("*") if one.is_file()) if place.is_dir() else [place]
     try:
         rows = [(one.name, hashlib.sha256(one.read_bytes()).hexdigest()) for one in files]
@@ -150,6 +152,7 @@ def _arena_digest(arena: Any, known: dict[str, str], robots: int) -> str:  # noq
     if not isinstance(arena, str):
         return fingerprint(arena)
     if arena not in known:
+        # The class counts for generated arenas only, which have labels.
         found = resolve_arenas(arena, "P2AT", robots)
         known[arena] = fingerprint(found if isinstance(found, ArenaSpec) else find_arena(arena))
     return known[arena]
@@ -184,6 +187,7 @@ def _read_script(path: Path, found: dict[Path, str], top: Path | None = None) ->
     for node in ast.walk(tree):
         for name in _imports(node, path, top):
             parts = name.split(".")
+            # Importing `a.b` runs `a/__init__.py`, too.
             for count in range(1, len(parts) + 1):
                 base = top.joinpath(*parts[:count])
                 for file in (base.with_suffix(".py"), base / "__init__.py"):
@@ -201,5 +205,6 @@ def _imports(node: ast.AST, path: Path, top: Path) -> list[str]:
     if node.level:
         parents = path.relative_to(top).parts[: -node.level]
         base = ".".join([*parents, *([base] if base else [])])
+    # What is imported from a package may be one of its modules.
     names = [f"{base}.{one.name}" if base else one.name for one in node.names]
     return [base, *names] if base else names

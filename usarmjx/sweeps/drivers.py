@@ -162,6 +162,7 @@ def script_of(policy: object) -> Path | None:
     place, _, _ = split_own_policy(what)
     if place.endswith(".py"):
         return Path(place)
+    # `find_spec` would import the package that a dotted name is in.
     found = importlib.util.find_spec(place) if "." not in place else None
     return None if found is None or found.origin is None else Path(found.origin)
 

@@ -151,6 +151,7 @@ def _axis_panel(panel: Axes, axis: str, rows: Sequence[AxisRow], policies: Seque
     numbers = [value.place for value in values if value.place is not None]
     named = len(numbers) < len(values)
     places = dict(zip(values, range(len(values)) if named else numbers, strict=True))
+    # A single value has no span, but methods stand beside each other there, too.
     span = (max(places.values()) - min(places.values())) or 1.0
     there = [name for name in policies if any(row.policy == name for row in rows)]
     for number, policy in enumerate(policies):

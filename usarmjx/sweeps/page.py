@@ -136,6 +136,7 @@ def _blocks(text: str) -> list[str]:
             rows.append([cell.strip() for cell in line.strip("|").split(" | ")])
             continue
         if rows:
+            # Row 1 is the line of dashes below the head.
             parts.append(_table(rows[0], rows[2:]))
             rows = []
         if line:
@@ -154,8 +155,10 @@ def _svg(figure: Figure) -> str:
     """Return a figure as SVG that stands in a page."""
     target = io.StringIO()
     with figure_style():
+        # Without a date: the same results give the same page.
         figure.savefig(target, format="svg", metadata={"Date": None})
     text = target.getvalue()
+    # HTML has no place for the XML declaration before it.
     return text[text.index("<svg") :]
 
 

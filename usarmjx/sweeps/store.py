@@ -206,6 +206,7 @@ def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
         record = replace(record, settings=rename_tasks(record.settings, recorded_name))
         rows: list[tuple[Any, ...]] = [record.steps, record.bad, *record.metrics.values()]
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+        # Cut, as a damaged file may hold anything.
         raise NotWholeError(f"{file}: is no result of a cell: {error!r}"[:300]) from error
     if record.buildings:
         rows.append(record.buildings)

@@ -107,7 +107,9 @@ def export_rows(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
+    # `csv` writes the ends of lines itself.
     with path.open("w", newline="", encoding="utf-8") as file:
+        # Cells of other tasks lack some columns.
         writer = csv.DictWriter(file, columns, restval="")
         writer.writeheader()
         writer.writerows(rows)

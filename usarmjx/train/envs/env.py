@@ -130,6 +130,7 @@ def _bounded(actions: tuple[Array, ...], alive: tuple[jax.Array, ...] | None) ->
 
 def _view_at_action(scene: Scene, world: World, physics: PhysicsState) -> TaskView:
     # Sensors are read once a step, at its end: actions are chosen and carried out on what was read then.
+    # Nothing is fresh: a task that draws scans into maps has drawn these already.
     last = tuple(
         tuple(Reading(value=value, fresh=jnp.zeros(state.active.shape, bool)) for value in state.memory.last)
         for state in world.groups
@@ -234,6 +235,7 @@ def restart_subset(
     fresh, qpos = jax.vmap(partial(begin_team, scene, task))(fresh, jnp.asarray(qpos))
     fresh, begun = jax.vmap(partial(start_episode, scene, task))(fresh, physics)
 
+    # The inverse of `rows`: the fresh episode that each world takes; `together`: none.
     place = jnp.full(now.left.shape, together).at[rows].set(jnp.arange(together), mode="drop")
 
     def put(old: jax.Array, new: jax.Array) -> jax.Array:
@@ -527,9 +529,11 @@ class Env:
         numbers = self.first + jnp.arange(self.worlds // max(key.size, 1))
         keys = random.fold_in(key, numbers)
         numbers = jnp.tile(numbers, key.size)
+        # Typed keys have no zeros: they are left out, and set below.
         worlds = jax.tree.map(zeros, world.replace(key=None)).replace(
             key=keys.reshape(-1),
             number=numbers,
+            # A restart counts up, to 0 in the first episode.
             episode=jnp.full(self.worlds, -1, jnp.int32),
         )
         begun, no, zero = jax.tree.map(zeros, begun), jnp.zeros(self.worlds, bool), jnp.zeros(self.worlds)
@@ -655,6 +659,7 @@ class Env:
         batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
         worlds, memory = self._commanded(state, actions)
         state = state.replace(memory=memory)
+        # The environment restarts bad worlds itself, once it has closed their episodes.
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat, reset_bad=False)
         worlds, task, present = self._evaluate(
             state.task_state, batch.worlds, self.batch.physics(batch), before

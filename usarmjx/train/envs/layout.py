@@ -133,6 +133,7 @@ class ObservationLayout:
         """Which numbers are neither shifted nor scaled: marks of presence, picture and mask (size,)."""
         found = np.zeros(self.size, bool)
         found[self.picture_span.first :] = True
+        # A slice cannot step by 0, as it would in a task without others.
         found[self.others_span.first : self.others_span.end : max(self.others[1], 1)] = True
         return found
 
@@ -191,7 +192,9 @@ def vector_from_record(held: Any, action_size: int) -> ActionVector:  # noqa: AN
 
 def _whole_numbers(name: str, value: Any, count: int) -> tuple[int, ...]:  # noqa: ANN401 - whatever a file has
     """Return the whole numbers of a list of `count` numbers; 0: any length from 1."""
+    # Cut, as a file may hold a value of any length.
     text, rows = str(value)[:40], cast(list[Any], value) if isinstance(value, list) else []
+    # A bool is an int in Python: `true` must not pass for 1.
     whole = all(isinstance(one, int) and not isinstance(one, bool) and 0 <= one <= LARGEST for one in rows)
     if not rows or not whole or (count and len(rows) != count):
         raise ValueError(f"{name} is {text}")

@@ -113,6 +113,7 @@ def _form(kind: str, size: tuple[int, int]) -> str:
     return f"{GENERATED}{kind}-{size[0]}x{size[1]}".lower()
 
 
+# It generates the whole library of a training.
 @lru_cache(maxsize=8)
 def _labels(recipe: GeneratedArenas) -> tuple[str, ...]:
     return tuple(map(building_label, recipe.arenas()))

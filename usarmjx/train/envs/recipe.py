@@ -58,6 +58,7 @@ class Split:
             UsageError: More than there are.
         """
         if self.drawn and self.start:
+            # 64 bits for at most 48: the remainder favours no seed that anybody could notice.
             drawn = np.random.SeedSequence(seed).generate_state(count, np.uint64)
             return (drawn % np.uint64(self.end - self.start)).astype(np.int64) + self.start
         if self.drawn:

@@ -105,6 +105,7 @@ class EnvState(TaskState, kw_only=True):
     @property
     def task_state(self) -> TaskState:
         """State of the task, without the worlds."""
+        # Not by `asdict`, which copies all arrays.
         return TaskState(**{field.name: getattr(self, field.name) for field in fields_of(TaskState)})
 
     def with_task(self, batch: BatchState, task: TaskState) -> "EnvState":

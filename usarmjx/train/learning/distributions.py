@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 Distribution: TypeAlias = "NormalTanhDistribution | ChoiceDistribution | MixedDistribution"
 """Family of distributions of actions."""
+# Finite: where no choice is there, infinities would make all shares NaN.
 INVALID = -1e9
 """Logit of a choice that is not there."""
 MIN_STD = 0.01

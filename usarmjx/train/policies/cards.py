@@ -47,6 +47,7 @@ class PolicyCard:
 def read_cards(file: Path = CARDS) -> dict[str, PolicyCard]:
     """Return the cards by the names of the policies."""
     rows: dict[str, dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    # Arguments are evaluated in their order: `score`, a list in JSON, is out before `row` is unpacked.
     return {name: PolicyCard(score=tuple(row.pop("score")), **row) for name, row in rows.items()}
 
 
@@ -66,6 +67,7 @@ def card_text(name: str) -> str:
         raise UsageError(unknown_name("packaged policy", name, POLICIES.names()))
     card, file = cards[name], POLICIES.get(name)
     policy, (_, arrays) = NumpyPolicy(file), read_arrays(file)
+    # Means and deviations of observations are no weights.
     count = sum(array.size for key, array in arrays.items() if key.startswith("weights/"))
     memory = f", memory of {policy.memory} units" if policy.memory else ""
     robots = [

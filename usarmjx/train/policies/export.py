@@ -39,6 +39,7 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
     if suffix == ".onnx":
         from usarmjx.train.policies.onnx_file import write_onnx
 
+        # By way of a file for NumPy, so that both kinds hold the same rounded weights.
         with TemporaryDirectory() as folder:
             export_run(run, Path(folder) / WEIGHTS, which, half)
             write_onnx(NumpyPolicy(Path(folder) / WEIGHTS), Path(file))
@@ -60,6 +61,7 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
         return
     if not Path(run).exists():
         raise UsageError(unknown_name("run or packaged policy", str(run), POLICIES.names()))
+    # Only runs need JAX to be read.
     from usarmjx.train.learning.checkpoint import read_policy
 
     save_policy(file, *read_policy(Path(run), which), half=half)

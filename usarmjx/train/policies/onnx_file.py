@@ -147,6 +147,7 @@ def _most_probable(graph: _Graph, x: str, seen: str, sizes: tuple[int, int, int]
     rated = _part(graph, x, 0, choices) if numbers else x
     there = graph.add("Greater", _part(graph, seen, width - choices, width), graph.constant(0.5))
     rated = graph.add("Where", there, rated, graph.constant(INVALID))
+    # 1 for the first of the greatest, as NumPy's argmax chooses.
     chosen = graph.add("Hardmax", rated, axis=-1)
     if not numbers:
         return chosen
@@ -162,6 +163,7 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
     graph.inputs.append((seen, width))
     # ONNX has no test for finite numbers.
     lost = graph.add("Or", graph.add("IsNaN", seen), graph.add("IsInf", seen))
+    # A number that is not finite counts as the mean: 0 once it is normalised.
     x = graph.add("Sub", graph.add("Where", lost, mean, seen), mean)
     x = graph.add("Div", x, graph.constant(policy.std[index]))
     x = graph.add("Clip", x, graph.constant(-policy.max_normalised), graph.constant(policy.max_normalised))

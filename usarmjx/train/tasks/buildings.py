@@ -72,8 +72,10 @@ class Buildings(GeneratedArenas):
     def arena(self, number: int, seed: int) -> ArenaSpec:
         """As `GeneratedArenas`; its start poses in the order of their distance from the first."""
         sizes = self.sizes or (self.size,)
+        # Numbers run through one level after the other, and each level begins with the first size.
         size, level = sizes[number % self.count % len(sizes)], self.levels[number // self.count]
         victims = self.victims if self.near_victims is None else budget(self.kind, size).victims
+        # All free cells: the generator spreads fewer over the whole arena, and then there are no near ones.
         starts = size[0] * size[1] if self.together else self.starts
         needs = self.robot, self.reachable, victims, starts
         arena = generate(self.kind, size, seed, self.difficulty(level), *needs)
@@ -81,6 +83,7 @@ class Buildings(GeneratedArenas):
             count = len(arena.victims) if self.victims is None else self.victims
             arena = thin_victims(arena, count, self.near_victims, seed)
         arena = spread_starts(sort_starts(arena), self.spacing)
+        # Cut at last: sorting and spreading choose among all start poses.
         return replace(arena, starts=arena.starts[: self.starts])
 
 
@@ -88,6 +91,7 @@ def sort_starts(arena: ArenaSpec) -> ArenaSpec:
     """Return an arena with its start poses in the order of their distance from the first."""
     first = np.array(arena.starts[0].at[:2])
     away = [float(np.hypot(*(np.array(start.at[:2]) - first))) for start in arena.starts]
+    # Cells at equal distances are common: without `stable` their order varies between processors.
     return replace(arena, starts=tuple(arena.starts[int(i)] for i in np.argsort(away, kind="stable")))
 
 
@@ -145,6 +149,7 @@ def arena_notes(arenas: Sequence[ArenaSpec], grid: MapGrid, robot: str) -> dict[
     }
 
 
+# A scene of one arena has no notes in its state, and each trace asks for them several times.
 @lru_cache(maxsize=8)
 def _notes_of(arena: ArenaSpec, grid: MapGrid, robot: str) -> dict[str, np.ndarray]:
     return arena_notes((arena,), grid, robot)

@@ -124,10 +124,12 @@ def _reach(kind: np.ndarray, size: np.ndarray, mat: np.ndarray) -> np.ndarray:
         GeomType.mjGEOM_BOX: (np.abs(mat) * size[:, None]).sum(-1),
         GeomType.mjGEOM_SPHERE: np.broadcast_to(radius, along.shape),
         GeomType.mjGEOM_CAPSULE: radius + length * along,
+        # Rounding may bring a cosine above 1.
         GeomType.mjGEOM_CYLINDER: radius * np.sqrt(np.maximum(0.0, 1 - along**2)) + length * along,
         GeomType.mjGEOM_ELLIPSOID: np.sqrt(((mat * size[:, None]) ** 2).sum(-1)),
     }
     masks = [np.broadcast_to((kind == int(k))[:, None], along.shape) for k in reaches]
+    # Other kinds by the diagonal of their size, which is never too short.
     return np.select(masks, list(reaches.values()), np.linalg.norm(size, axis=-1, keepdims=True))
 
 

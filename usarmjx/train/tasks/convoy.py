@@ -255,6 +255,7 @@ class Convoy(Task):
         speed, steer = actions[0][:, 0], actions[0][:, 1]
         return Actions(
             drive={
+                # Cars are driven by their wheels' turning rate [rad/s].
                 0: {"Speed": SPEED_SCALE * speed / drive.radius, "FrontSteer": drive.max_front_steer * steer}
             }
         )

@@ -81,7 +81,9 @@ class DriveToGoal(Task):
         here = view.robots(0).pos[0, :2]
         positions = view.starts[:, :2]
         away = jnp.linalg.norm(positions - here, axis=-1)
+        # In an arena smaller than `nearest` the farthest start pose is the goal.
         far = away >= jnp.minimum(self.nearest, away.max())
+        # A draw among the far ones; `choice` would need to know how many there are while tracing.
         goal = positions[jnp.argmax(jnp.where(far, jax.random.uniform(key, far.shape), -1.0))]
         return GoalMemory(goal=goal, distance=jnp.linalg.norm(goal - here))
 
@@ -115,6 +117,7 @@ def goal_observation(pose: jax.Array, goal: jax.Array) -> jax.Array:
     """Return how a robot at a pose (6,) observes a goal (2,): cosine and sine, far and near distance (4,)."""
     way, yaw = goal - pose[:2], pose[5]
     distance = jnp.linalg.norm(way)
+    # On the goal itself there is no direction: 0, not NaN.
     ahead, left = way / jnp.maximum(distance, 1e-6)
     cos, sin = jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack(

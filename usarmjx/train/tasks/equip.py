@@ -44,6 +44,7 @@ def mapping_robot(robot: str | RobotSpec, extra: Sequence[Mount] = ()) -> RobotS
     """
     spec = find_robot(robot)
     own = next((mount.at for mount in spec.sensors if mount.kind == "RangeScanner"), None)
+    # Descriptions have z down, so this is above the top.
     top = (0.0, 0.0, kinematic_tree_of(spec).clearance - spec.dimensions[2] - 0.1)
     scanner = Mount(kind="RangeScanner", name="Mapper", at=own or top, options=HOKUYO)
     return replace(spec, sensors=(INS, scanner, *extra))
@@ -59,6 +60,7 @@ def victim_search_robot(robot: str | RobotSpec) -> RobotSpec:
     """
     spec = find_robot(robot)
     if flies(spec):
+        # With z down a positive pitch lifts the nose.
         down = (0.0, -math.pi / 2, 0.0)
         sensor = Mount(
             kind="VictSensor",
@@ -69,6 +71,7 @@ def victim_search_robot(robot: str | RobotSpec) -> RobotSpec:
         )
         return replace(spec, sensors=(GROUND_TRUTH, sensor))
     mapper = mapping_robot(spec)
+    # The place of the scanner, which `mapping_robot` puts second.
     sensor = Mount(kind="VictSensor", name="Seeker", at=mapper.sensors[1].at, options=VICTIM_SENSOR)
     return replace(mapper, sensors=(*mapper.sensors, sensor))
 

@@ -74,6 +74,7 @@ class Explore(TeamTask):
         found = 50.0 * worth * ((1 - self.share) * credit + self.share * credit.mean())
         learned = 50.0 * worth * (on_maps(memory) - before) / scene.num_robots
         reward = found + learned - self.price * begun
+        # `start` returns no score: the points for the first scans come with the first step.
         score = memory.score + jnp.where(memory.step == memory.skipped + 1, first, 0.0) + reward.sum()
         memory = memory.replace(score=score)
         return StepResult(

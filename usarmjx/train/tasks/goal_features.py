@@ -210,6 +210,7 @@ def chosen_goal(seen: Array, square: float, *, report: bool) -> jax.Array:
     goals = seen[..., FIRST_GOAL:FIRST_MASK].reshape(*seen.shape[:-1], GOALS, GOAL_NUMBERS)
     valid = seen[..., -GOALS:] > 0.5
     ahead, left = goals[..., 0], goals[..., 1]
+    # 0 ahead to 2 behind; a goal right here has no direction.
     turn = 1 - ahead / jnp.maximum(jnp.hypot(ahead, left), 1e-3)
     cost = LENGTH_SCALE * goals[..., 2] - GAIN_WORTH * goals[..., 3] - KEEP_WORTH * goals[..., 9]
     cost += NEARER_COST * 4.0 * goals[..., 7] + VISITED_COST * goals[..., 8] + TURN_COST * turn / 2

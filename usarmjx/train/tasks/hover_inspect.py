@@ -115,6 +115,7 @@ class HoverInspect(Task):
     repeat: int = 10
     episode_steps: int = 250
     robot: str | RobotSpec = "AirRobot"
+    # One room more than `WINDOW_CENTRES` has windows.
     rooms: Annotated[int, Setting(ge=1, le=5)] = 3
     dwell: Annotated[int, AT_LEAST_ONE] = 5
     near: Annotated[float, POSITIVE] = 2.0
@@ -141,8 +142,6 @@ class HoverInspect(Task):
     @property
     def arenas(self) -> ArenaSpec:
         """The rooms; the robot starts in the first one."""
-        if not 1 <= self.rooms <= len(WINDOW_CENTRES) + 1:
-            raise UsageError(f"{self.rooms} rooms, expected 1 to {len(WINDOW_CENTRES) + 1}")
         last, side = LONG * (self.rooms - 0.5), (WIDE + THICK) / 2
         middle, length = (last - LONG / 2) / 2, LONG * self.rooms + 2 * THICK
         walls = [block((middle, y), (length, THICK, HIGH), surface="wall") for y in (-side, side)]
@@ -248,6 +247,7 @@ class HoverInspect(Task):
         pos, axis = robot.pos[0], mat_from_quat(robot.quat[0])[:, 0]
         gap = point - pos
         far = jnp.linalg.norm(gap)
+        # Without a division, as the robot may be at the point.
         ahead = jnp.dot(gap, axis) >= np.cos(self.view) * far
         # Rooms stand in a row of equal lengths, so the rounded share is a room's number.
         same = jnp.round(pos[0] / LONG) == jnp.round(point[0] / LONG)

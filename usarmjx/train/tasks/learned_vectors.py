@@ -60,6 +60,7 @@ def heard_vectors(state: VectorState, mail: Inboxes) -> VectorState:
     """Return the state after robots read their mail; of several vectors of one sender the last counts."""
     robots, size = state.sent.shape
     capacity = mail.sender.shape[-1]
+    # A vector is the end of a letter, and ABSENT in letters of other kinds; see `messages.letters`.
     numbers = jnp.asarray(mail.payload)[..., -size:]
     there = mail.valid & (numbers[..., 0] != ABSENT)
     theirs = there[:, None] & (mail.sender[:, None] == np.arange(robots)[:, None])
@@ -129,6 +130,7 @@ def joined_vectors(plain: Array, vectors: jax.Array) -> jax.Array:
     """
     plain = jnp.asarray(plain)
     mates = plain[..., FIRST_MATE:FIRST_GOAL]
+    # The first number of a row says whether there is another robot.
     there = mates[..., ::MATE_NUMBERS] > 0.5
     whole = beside_mates(mates, jnp.where(there[..., None], vectors, 0.0))
     return jnp.concatenate([plain[..., :FIRST_MATE], whole, plain[..., FIRST_GOAL:]], -1)

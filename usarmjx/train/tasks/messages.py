@@ -177,6 +177,7 @@ def heard(state: MessageState, mail: Inboxes) -> MessageState:
     last = jnp.max(jnp.where(there, np.arange(capacity), -1), -1, initial=-1)
     rows = np.arange(robots)[:, None]
     came = jnp.asarray(mail.payload)[rows, jnp.maximum(last, 0), HEADER_SIZE:].astype(jnp.int32)
+    # Behind the strips a letter may hold a vector.
     came = jnp.where((last >= 0)[..., None], came[..., : state.known.shape[-1]], 0)
     known = merge_numbers(state.known, came)
     if isinstance(state.vectors, VectorState):
@@ -385,10 +386,12 @@ def posted(
     strips = jnp.maximum(offered.room[rows, where] - PLAN_BYTES, 0.0) / STRIP_BYTES
     most = jnp.minimum(strips, own.shape[-1]).astype(jnp.int32)
     only_marks = (kind == VICTIMS)[:, None]
+    # Of a packed mark one bit is left, and a mark's code, 3, is both bits of its square.
     content = jnp.where(only_marks, packed_marks(own) * 3, own)
     changed = merge_numbers(content[:, None], state.known) ^ state.known
     new = _count(packed_known(changed))
     marked = (packed_marks(content)[:, None] & ~packed_marks(state.known)) > 0
+    # One message serves all receivers: a strip counts as for the one that lacks most of it.
     rank = jnp.where(to[..., None], jnp.where(marked, MARKED, new), 0).max(1)
     has_map = (chosen > 0) & ((kind == MAP) | (kind == VICTIMS))
     vectors = state.vectors
@@ -426,7 +429,9 @@ def letters(state: MessageState, header: jax.Array) -> jax.Array:
         has_vector = kind == VECTOR
         bare |= has_vector
         vector = [jnp.where(has_vector[:, None], state.vectors.sent, ABSENT)]
+    # Kinds that are shorter have no room for the plan.
     header = header.at[:, 3:5].set(jnp.where(bare[:, None], ABSENT, header[:, 3:5]))
+    # Exact: a strip has 24 bits, which single precision holds.
     return jnp.concatenate([header, state.strips.astype(jnp.float32), *vector], -1)
 
 
@@ -441,6 +446,7 @@ def encode(letter: np.ndarray, floats: int = 0) -> bytes:
     pose, plan, contact = letter[:3], letter[3:5], letter[5:HEADER_SIZE]
     head = np.concatenate([pose, contact, plan[:0] if plan[0] == ABSENT else plan]).astype("<f4").tobytes()
     if floats and letter[numbers] != ABSENT:
+        # Padded where the size alone would not tell the kind, see `vector_bytes`.
         return (head + letter[numbers:].astype(np.int8).tobytes()).ljust(vector_bytes(floats), b"\0")
     strips = letter[HEADER_SIZE:numbers].astype(np.int64)
     parts = [

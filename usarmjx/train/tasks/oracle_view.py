@@ -55,6 +55,7 @@ def _known(seen: jax.Array, beyond: jax.Array, news: jax.Array, floats: int) -> 
         plain, vectors = split_vectors(seen, floats)
         return joined_vectors(_known(plain, beyond, news, 0), vectors)
     goals = seen[:, FIRST_GOAL:FIRST_MASK].reshape(-1, GOALS, GOAL_NUMBERS)
+    # No gain: to one that knows the building, unknown squares are worth nothing of themselves.
     goals = goals.at[..., LENGTH].add(beyond).at[..., GAIN].set(0.0).at[:, 0, NEWS].set(news)
     seen = seen.at[:, OWN_NEWS].set(news)
     return seen.at[:, FIRST_GOAL:FIRST_MASK].set(goals.reshape(len(seen), -1))

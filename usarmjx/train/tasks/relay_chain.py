@@ -165,6 +165,7 @@ def first_chain(view: TaskView, memory: TeamMemory, grid: MapGrid) -> RelayChain
     begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
     far = distances(begin, inside)
     there = memory.reachable & (far < UNREACHABLE)
+    # A base that is shut in has a depth of 0 all over, not NaN.
     deepest = jnp.where(there, far, 0.0).max()
     return RelayChainState(
         depth=jnp.where(there, far / jnp.maximum(deepest, 1.0), 0.0),

@@ -61,6 +61,7 @@ class ReportingTeam(GoalTeam):
     def progress(self, view: TaskView, memory: TeamMemory, worth: jax.Array) -> Progress:
         """Things that come to the base."""
         before, things = memory.extra.achieved, self.things(view, memory)
+        # An arena without things scores 0, not NaN.
         number = jnp.maximum(things.sum(), 1)
         has = before | (things & self.at_base(view, memory))
         news, point = has & ~before, 100.0 * worth / number
@@ -74,6 +75,7 @@ class ReportingTeam(GoalTeam):
     def shares(self, view: TaskView, memory: TeamMemory, news: jax.Array) -> jax.Array:
         """Return how many things that come to the base (things,) count for each slot (robots,)."""
         equal = jnp.full(view.scene.num_robots, news.sum() / len(self.agents(view.scene)))
+        # A setting, so the choice is made while tracing: finders need a map per robot.
         if not self.found:
             return equal
         return (1 - self.found) * equal + self.found * self.finders(view, memory, news)
@@ -87,6 +89,7 @@ class ReportingTeam(GoalTeam):
         """
         agents, has = self.agents(view.scene), self.sighted(view, memory)
         has = (has | ~has.any(0)) & news
+        # Things are squares (i, j) or victims: one axis stands for both.
         parts = (has / jnp.maximum(has.sum(0), 1)).reshape(len(agents), -1).sum(1)
         return jnp.zeros(view.scene.num_robots).at[agents].set(parts)
 
@@ -151,6 +154,8 @@ def in_view(grid: MapGrid, pose: jax.Array) -> jax.Array:
     away = jnp.asarray(grid.centres) - pose[:2]
     ahead = away[..., 0] * jnp.cos(pose[2]) + away[..., 1] * jnp.sin(pose[2])
     distance = jnp.linalg.norm(away, axis=-1)
+    # Times the distance, so that a robot's own square needs no division. `np.cos` gives float64, which is no
+    # weak type and would widen all with x64.
     return (distance < LOOK_RANGE) & (ahead >= distance * np.float32(np.cos(LOOK_ANGLE)))
 
 

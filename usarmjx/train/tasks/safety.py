@@ -80,6 +80,7 @@ def outline(low: Array, high: Array) -> np.ndarray:
     middle = (np.asarray(low) + np.asarray(high)) / 2
     xs, ys = (np.array([low[axis], middle[axis], high[axis]]) for axis in range(2))
     grid = np.stack(np.meshgrid(xs, ys, indexing="ij"), -1).reshape(-1, 2)
+    # 4 is the middle of the three by three points.
     return np.delete(grid, 4, axis=0).astype(np.float32)
 
 
@@ -129,6 +130,7 @@ def safe_command(body: Footprint, seen: jax.Array, mates: jax.Array, command: ja
 
     now = clear_at(jnp.zeros(2), jnp.zeros(()))
     clearances = jax.vmap(clear)(tried)
+    # The slack keeps rounding from forbidding a robot inside the margin to stand still.
     safe = clearances >= jnp.minimum(MARGIN, now) - 1e-4
     cost = jnp.abs(tried - command) @ jnp.array([1.0, TURN_WEIGHT])
     best = jnp.where(safe.any(), jnp.where(safe, cost, jnp.inf).argmin(), clearances.argmax())

@@ -90,6 +90,7 @@ def _starts() -> tuple[StartPose, ...]:
         x, y, yaw = draw.uniform((-2.2, -1.5, -np.pi), (2.2, 1.5, np.pi)).round(2)
         here = np.array([x, y])
         others = [sign * np.array(pose[:2]) for pose in poses for sign in (-1, 1)]
+        # Each pose stands for two, so its own counterpart counts, too.
         crowded = any(np.linalg.norm(here - other) < MIN_START_DISTANCE for other in [*others, -here])
         if not crowded and np.linalg.norm(here) > FREE_KICK and abs(x) + abs(y) < CORNER - 0.5:
             poses.append((float(x), float(y), float(yaw)))
@@ -150,8 +151,10 @@ def soccer_robot(rgba: Colour) -> RobotSpec:
     )
     rear = replace(next(shape for shape in base.chassis if shape.surface == "caster"), mass=MASSES[1])
     x, y, z = rear.at
+    # With z down, less is higher.
     front = replace(rear, at=(-x, y, z - FRONT_CASTER), mass=MASSES[2])
     lower = Mount(kind="RangeScanner", name="Low", at=_above(base, LOWER_SCANNER_HEIGHT), options=SCAN)
+    # Of another type, as a task finds a sensor by its type.
     upper = Mount(kind="IRScanner", name="High", at=_above(base, UPPER_SCANNER_HEIGHT), options=SCAN)
     return replace(
         base,

@@ -1,4 +1,4 @@
-"""Soccer by hand: who is nearer gets behind the ball and pushes it to the goal, the other keeps goal.
+"""Baseline of soccer: who is nearer gets behind the ball and pushes it to the goal, the other keeps goal.
 
 It is here and not with the other baselines because the task itself needs it for `opponent`.
 """

@@ -116,6 +116,7 @@ class Stairs(Task):
         if not isinstance(spec.drive, SkidSteer):
             raise UsageError(f"a {spec.name} on stairs: expected tracks, or wheels that skid")
         own = next((mount.at for mount in spec.sensors if mount.kind == "RangeScanner"), None)
+        # Descriptions have z down, so this is above the top.
         top = (0.2 * spec.dimensions[0], 0.0, spec.origin_height - spec.dimensions[2] - 0.05)
         sensors = [
             Mount(kind="INS", name="INS", options=options(Sigma=0.01, ScanInterval=0.1)),
@@ -151,10 +152,6 @@ class Stairs(Task):
     @property
     def arenas(self) -> ArenaSpec:
         """The stairs."""
-        if self.steps < 1 or self.rise <= 0 or self.going <= 0:
-            raise UsageError(
-                f"{self.steps} steps of {self.rise} by {self.going} m: expected one at least, above 0"
-            )
         reach = [self.going] * (self.steps - 1) + [PLATFORM]
         shapes = [
             Shape(
@@ -165,6 +162,7 @@ class Stairs(Task):
             )
             for i, deep in enumerate(reach)
         ]
+        # The front, not the origin, starts 0.6 to 1.0 m before the first step.
         front = spec_of(self.robot).dimensions[0] / 2
         draw = np.random.default_rng(self.seed)
         places = draw.uniform((-1.0, -0.1, -0.15), (-0.6, 0.1, 0.15), (STARTS, 3)).round(3)

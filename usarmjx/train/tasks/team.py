@@ -248,6 +248,7 @@ def true_pose_features(view: TaskView) -> jax.Array:
         robots = view.robots(group)
         w, z = robots.quat[:, 0], robots.quat[:, 3]
         position = (robots.pos[:, :2] - extent[:, 0]) / (extent[:, 1] - extent[:, 0])
+        # Products of the quaternion of a robot that stands level; an angle would jump at half a turn.
         rows += [position.ravel(), jnp.stack([w * w - z * z, 2 * w * z], -1).ravel()]
     return jnp.concatenate(rows)
 
@@ -347,6 +348,7 @@ class TeamTask(Task):
         if self.mail is not None or self.radio is None:
             return scene
         others, numbers = max(scene.num_robots - 1, 1), self.letter_size(scene)
+        # No limit: with each action a whole map goes to each of the others.
         mail = MessageSettings(
             numbers=numbers, capacity=others, bytes_per_step=BYTES_PER_NUMBER * numbers * others
         )
@@ -365,7 +367,7 @@ class TeamTask(Task):
         return arena_notes(arenas, self.arena_grid(scene), self.passing)
 
     def note(self, view: TaskView, name: str) -> jax.Array:
-        """Return what the task knows of a world's arena, see `scenes.buildings.arena_notes`."""
+        """Return what the task knows of a world's arena, see `buildings.arena_notes`."""
         return note_of(view, name, self.arena_grid(view.scene), self.passing)
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
@@ -547,6 +549,7 @@ class TeamTask(Task):
         Args:
             share: After each step of whole episodes (steps, ...).
         """
+        # The share that the first scans show is paid with the first step.
         found = np.diff(share, axis=0, prepend=np.zeros_like(share[:1]))
         return np.cumsum(found * self.worth_of_steps().reshape(-1, *[1] * (share.ndim - 1)), axis=0)
 

@@ -107,11 +107,13 @@ class TeamMind:
     def __init__(self, task: GoalTeam, extent: Extent) -> None:
         robots = 1 + task.count
         (x0, x1), (y0, y1) = extent
+        # A scene wants a start pose for each robot; the true ones are in the first report.
         starts = tuple(
             StartPose(tag=f"S{i}", at=(x0 + (x1 - x0) * (i + 0.5) / robots, (y0 + y1) / 2, 0.2), yaw=0.0)
             for i in range(robots)
         )
         site = ArenaSpec(name="site", starts=starts, extent=extent)
+        # Nothing is simulated: an oracle has no walls to read, and all robots of the task are there.
         self.task = replace(task, arena=site, oracle=False, least_robots=0)
         self.scene: Scene = self.task.scene()
         kinds = {sensor.kind for group in self.scene.groups for sensor in group.suite.sensors}
@@ -126,6 +128,7 @@ class TeamMind:
 
     def another(self) -> "TeamMind":
         """Return the mind of another team on the same site, without compiling anew; it knows nothing yet."""
+        # The compiled functions are bound to the first mind, but read only the task and the scene.
         other = copy(self)
         other._memory = None
         return other
@@ -148,6 +151,7 @@ class TeamMind:
         if self.task.parts:
             floats = self.task.message_floats
             return decode(data, self.letter_size - HEADER_SIZE - floats, floats)
+        # Byte order of the wire, on machines of either order.
         letter = np.frombuffer(data, "<f4")
         if len(letter) != self.letter_size:
             raise ValueError(f"a message of {len(letter)} numbers, expected {self.letter_size}")
@@ -247,6 +251,7 @@ def _boxes(scene: Scene, letters: list[tuple[int, int, float, np.ndarray]]) -> I
     sender = np.zeros((robots, settings.capacity), np.int32)
     time = np.zeros((robots, settings.capacity), np.float32)
     payload = np.zeros((robots, settings.capacity, settings.numbers), np.float32)
+    # In order of sending, as the network may mix them up; arrays themselves have no order.
     for receiver, other, sent, numbers in sorted(letters, key=lambda one: one[:3]):
         place = int(count[receiver])
         if place == settings.capacity:

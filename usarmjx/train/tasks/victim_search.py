@@ -78,6 +78,7 @@ def mark_squares(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
     x, y = met[:, 1], met[:, 2]
     position = pose[:2] + jnp.stack([cos * x - sin * y, sin * x + cos * y], -1)
     there = grid.index(position)
+    # By maximum: of several boxes in one square `set` lets any one win.
     return jnp.zeros(grid.shape, bool).at[there[:, 0], there[:, 1]].max(met[:, 0] > 0)
 
 
@@ -127,7 +128,7 @@ CLIMB_GAIN, FLIGHT_SPEED, TURN_RATE = 1.0, 1.2, 1.0
 SWEEP_RADIUS = 1.0
 """Radius that a flying robot has seen around it [m]."""
 RETURN_MARGIN = 5.0
-"""... and with so much time to spare [s]."""
+"""Time to spare with which robots plan to be home [s]."""
 RECENT_CONTACT = 10.0
 """A robot that has had contact for as recent as this need not come home when the time runs out [s]."""
 
@@ -362,6 +363,7 @@ class VictimSearch(TeamTask):
             "AltitudeVelocity": jnp.clip(CLIMB_GAIN * error, -1.0, 1.0),
             "LinearVelocity": jnp.where(low, 0.0, speed),
             "LateralVelocity": jnp.zeros(len(action)),
+            # Rotors turn clockwise for positive values; actions are positive to the left.
             "RotationalVelocity": jnp.where(low, 0.0, -TURN_RATE * action[:, 1]),
         }
 
@@ -417,6 +419,7 @@ class VictimSearch(TeamTask):
         return {
             "victims": 60.0 * self.paid(series["reported"]),
             "mapped": 30.0 * self.paid(series["mapped"]),
+            # The metric is the mean so far; times the steps it is the sum again.
             "connected": 10.0 * series["connected"] * steps / self.episode_steps,
             **super().score_parts(series),
             "wrong": -self.wrong * series["wrong"],

@@ -73,6 +73,7 @@ class Wander(Task):
         """Nothing but the start's square is visited."""
         del key
         (x0, x1), (y0, y1) = view.scene.arena.extent
+        # Rounding must not add a square to an extent that is a whole number of them.
         squares = [max(1, int(np.ceil((b - a) / self.square - 1e-6))) for a, b in ((x0, x1), (y0, y1))]
         none = jnp.zeros(squares, bool)
         return WanderMemory(visited=self._visit(view, none)[0])
@@ -83,6 +84,7 @@ class Wander(Task):
         square = jnp.floor((view.robots(0).pos[0, :2] - low) / self.square).astype(jnp.int32)
         inside = (square >= 0).all() & (square < np.array(visited.shape)).all()
         i, j = square
+        # Beyond the extent a negative index reads another square; `new` is False then and nothing is written.
         new = inside & ~visited[i, j]
         return visited.at[i, j].set(visited[i, j] | new), new
 
