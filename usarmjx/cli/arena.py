@@ -57,7 +57,6 @@ def draw(
     """Draw an arena's floor plan, or the arena from a corner above, or both."""
     with ErrorExit():
         announce(f"drawing arena {arena} ...")
-        from usarmjx.base.errors import UsageError
         from usarmjx.models.files.load import find_arena
 
         if png is None and perspective is None:
@@ -80,6 +79,7 @@ def export(
         from usarmjx.models.files.arena_export import check_suffix, export_arena
         from usarmjx.models.files.load import find_arena
 
+        # Before the arena is built, which may take long.
         check_suffix(out)
         result = export_arena(find_arena(arena), out)
         for note in result.notes:

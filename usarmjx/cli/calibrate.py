@@ -60,6 +60,7 @@ def calibrate(
     with ErrorExit():
         if markdown + drives + tasks > 1:
             raise UsageError("--markdown, --drives and --tasks are one each: name one of them")
+        # Before JAX is imported: engines are read when the worlds of some are built already.
         for name in () if tasks else names or ():
             check_name("robot", name)
         for name in engines.split(",") if tasks else ():

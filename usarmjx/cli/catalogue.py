@@ -234,6 +234,7 @@ def suite_with(kind: str, given: Options = ()) -> Suite:
     """Return the sensors of a P2AT that has only one, of that type."""
     mount = Mount(kind=kind, name=kind, options=given)
     if kind == "Encoder":
+        # An encoder counts the turns of a joint, so it needs one.
         mount = replace(mount, parent="LeftFWheel")
     return suite_of(replace(P2AT, name=f"P2AT with {kind}", sensors=(mount,)))
 
@@ -256,6 +257,7 @@ def own_options(settings: type) -> str:
     """Return the options of a type with their defaults, without those that it has as others do."""
     is_noisy = issubclass(settings, NoisySensorSettings)
     usual, own = defaults_of(NoisySensorSettings if is_noisy else SensorSettings), defaults_of(settings)
+    # No default is an Ellipsis: what others lack always differs.
     own = {key: value for key, value in own.items() if usual.get(key, ...) != value}
     return ini_text(own) or "-"
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -25,10 +25,6 @@ from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.picture import run_picture, tracked_poses
 from usarmjx.server.runtime.signals import ParentPipe
-
-if TYPE_CHECKING:
-    from usarmjx.models.types.arena import ArenaSpec
-
 
 ROOT = Path(__file__).resolve().parents[2]
 CONTROLLER = ROOT / "usarmjx" / "client" / "wander.py"

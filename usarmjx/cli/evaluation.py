@@ -126,17 +126,17 @@ def _compare(
 
     if out is not None:
         check_figure(out)  # before minutes of play
-    set_by_hand, _ = task_settings(task, {}, pairs)
-    played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
+    overrides, _ = task_settings(task, {}, pairs)
+    played, seen = yardsticks.team_task(task, **overrides), TeamWays()
     chosen = list(dict.fromkeys(names)) if names else None
     watch = yardsticks.ignore if out is None else seen
     how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
-    rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
+    rows = yardsticks.measure_teams(task, worlds, *how, **overrides)
     typer.echo(yardsticks.table(played, rows))
     if line := yardsticks.shares(rows):
         typer.echo(line)
     if json is not None:
-        split = split or usual_split(task, set_by_hand)
+        split = split or usual_split(task, overrides)
         setup = {"task": task, "split": split, "engine": how[1], "settings": pairs}
         _keep(json, setup, [_plain(row) for row in rows])
     if out is not None:
@@ -180,6 +180,7 @@ def _ablate(
 
 def _plain(row: "TeamResult") -> dict[str, Any]:
     """Return a row as JSON can hold it."""
+    # JSON has no NaN.
     by_world = [value if math.isfinite(value) else None for value in row.by_world]
     return {**vars(row), "reached": row.reached, "score": vars(row.score), "by_world": by_world}
 

@@ -231,17 +231,6 @@ def check_file(found: "FileValue") -> None:
                     raise place.error(str(error)) from error
 
 
-def main() -> None:
-    """Write the table anew."""
-    with atomic_write(FILE) as fresh:
-        fresh.write_text(json.dumps(registered(), indent=1) + "\n", encoding="utf-8")
-    print(f"wrote {FILE}")
-
-
-if __name__ == "__main__":
-    main()
-
-
 def registered_names() -> dict[str, list[str]]:
     """Return the names of all registries, by kind; imports JAX."""
     from usarmjx.engines import ENGINES
@@ -351,3 +340,14 @@ def complete_kinds(incomplete: str) -> list[str]:
 
 def _beginning(kind: str, incomplete: str) -> list[str]:
     return [name for name in names_of(kind) if name.startswith(incomplete)]
+
+
+def main() -> None:
+    """Write the table anew."""
+    with atomic_write(FILE) as fresh:
+        fresh.write_text(json.dumps(registered(), indent=1) + "\n", encoding="utf-8")
+    print(f"wrote {FILE}")
+
+
+if __name__ == "__main__":
+    main()

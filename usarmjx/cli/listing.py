@@ -90,6 +90,7 @@ def options_of(command: Any) -> list[tuple[str, str, str]]:  # noqa: ANN401 - cl
 
 def _plain(text: str) -> str:
     """Return a text as a cell of a Markdown table."""
+    # A browser would take `<NAME>` for a tag.
     return text.replace("<", "&lt;")
 
 
@@ -98,6 +99,7 @@ def _default(parameter: Any) -> str:  # noqa: ANN401 - click's, or typer's own c
     value = parameter.default
     if parameter.required:
         return "needed"
+    # Newer versions of click have a value for no default, whose class is not public.
     if value is None or value is False or value == [] or "Sentinel" in type(value).__name__:
         return ""
     if value is True:
@@ -106,6 +108,7 @@ def _default(parameter: Any) -> str:  # noqa: ANN401 - click's, or typer's own c
 
 
 def _first_paragraph(text: str) -> str:
+    # Click ends what it shows of a help text at a form feed.
     return " ".join(inspect.cleandoc(text).split("\n\n")[0].split()).replace("\f", "")
 
 
@@ -177,6 +180,7 @@ def show_listing(what: str, json: bool, markdown: bool) -> None:
     from usarmjx.cli.tables import LISTINGS
 
     if what == COMMANDS:
+        # The app imports this module.
         from usarmjx.cli.app import app
 
         typer.echo(commands_json(app) if json else commands_page(app))

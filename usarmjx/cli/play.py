@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
+from usarmjx.base.errors import UsageError
 from usarmjx.cli.common import ErrorExit, WorldsOption, announce, ends_on_signals, unwinds_on_signals
 from usarmjx.cli.recordings import recorded_episode
 from usarmjx.cli.serving_options import (
@@ -148,7 +149,6 @@ def _policy_worlds(
 
 def _followed(run: str | None, task: str | None) -> "PolicySource":
     """Return the policy of a run that may not have begun yet, as soon as it has a checkpoint."""
-    from usarmjx.base.errors import UsageError
     from usarmjx.server.worlds.policy_world import wait_for_run
 
     if run is None:

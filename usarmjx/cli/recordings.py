@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from usarmjx.base.errors import UsageError
 from usarmjx.cli.common import ErrorExit, announce, say
 from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_socket
 
@@ -127,12 +128,8 @@ def view(
         # Before the imports below, which take seconds.
         announce(f"reading {file} ...")
         if bag is not None and protobuf is None:
-            from usarmjx.base.errors import UsageError
-
             raise UsageError("--bag needs --protobuf FILE, the file that both are written to")
         if pictures is not None and protobuf is None:
-            from usarmjx.base.errors import UsageError
-
             raise UsageError("--pictures needs --protobuf FILE, the file that they are written to")
         if protobuf is not None:
             from usarmjx.recording.protobuf import write_protobuf
@@ -215,7 +212,6 @@ def plot(
     """Draw a recorded mission: plan, trails, scans, radio power, victims found, and all over time."""
     with ErrorExit():
         announce(f"drawing {file} ...")
-        from usarmjx.base.errors import UsageError
         from usarmjx.plots.recording import plot_recording
         from usarmjx.recording.reader import Recording
 
@@ -236,7 +232,6 @@ def export_recording(
     file: Path, out: Path, world: int = 0, speed: float = 2.0, pictures: float | None = None
 ) -> None:
     """Write a recording as tables, as a film or as a bag of ROS 2, as the name of the file says."""
-    from usarmjx.base.errors import UsageError
     from usarmjx.plots.recording import FILMS, save_film
     from usarmjx.recording.reader import Recording
     from usarmjx.recording.tables import SUFFIXES, export_tables

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Check robots from files: URDF, xacro, SDF, MJCF.", no_args_is_help=True)
 
 
-@app.callback()
-def robot_commands() -> None:
-    """Check robots from files: URDF, xacro, SDF, MJCF."""
-
-
 @app.command()
 def check(
     file: Annotated[Path, typer.Argument(help="URDF, xacro, SDF or MJCF file of a robot.")],
@@ -59,6 +54,7 @@ def check(
             from usarmjx.plots.gallery import portraits
 
             portraits([loaded.robot], png)
+            # The standard output has the JSON alone.
             typer.echo(f"wrote {png}", err=json)
         if faults:
             raise typer.Exit(1)

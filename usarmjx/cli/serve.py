@@ -130,6 +130,7 @@ def serve(
     """
     configure_log(verbose=verbose, as_json=log_json)
     with ErrorExit(), StopSignals() as signals:
+        # Before JAX is imported and the arena is built.
         check_roster(which.roster, (*(which.robot or ()), *which.ini_files))
         host = Host(
             listen=listen,
@@ -141,6 +142,7 @@ def serve(
             services=(radio, images, ros, ros2),
         )
         with host.ports() as ports:
+            # A reader of JSON lines expects no others.
             if not log_json:
                 host.warn(ports)
             many = f" for {which.worlds} worlds" if which.worlds > 1 else ""

@@ -104,6 +104,7 @@ def warn_if_open(address: str, rules: AccessRules) -> None:
         address: IP address that is listened on.
         rules: Clients admitted.
     """
+    # Behind % stands the zone of a link-local address.
     if ipaddress.ip_address(address.partition("%")[0]).is_loopback:
         return
     where = f"usarmjx: warning: {address} is not this machine's loopback:"
@@ -740,6 +741,7 @@ class Ros2Options:
             publishes_map=self.ros2_map,
             infinite_ranges=self.ros2_infinite_ranges,
         )
+        # Worlds are made in their order, each in the next domain.
         numbers = itertools.count(settings.domain)
 
         def make(world: "ServedWorld", sockets: "Sockets") -> "Service":

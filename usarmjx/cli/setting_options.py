@@ -107,6 +107,7 @@ def with_config(command: F) -> F:
         if path is not None and not ctx.resilient_parsing:
             with ErrorExit():
                 found = default_reader().values(kind(), dict(read_file(path).mapping()))
+                # Click takes these where the command line has nothing.
                 ctx.default_map = {name: value for name, value in found.items() if value is not None}
         return path
 

@@ -46,6 +46,7 @@ def run(
         from usarmjx.sweeps.spec import SPLITS_OF_SUITES, find_suite
 
         file = find_suite(suite)
+        # Before JAX is imported, which takes seconds.
         for one in runs or [method]:
             check_run(one)
         if split not in SPLITS_OF_SUITES:
@@ -94,6 +95,7 @@ def show(
         from usarmjx.sweeps.standings import standings_of, standings_record, standings_report
         from usarmjx.sweeps.suite import load_suite, read_results
 
+        # Before the resampling, which takes long.
         if figure is not None:
             from usarmjx.plots.style import check_figure
 
@@ -149,7 +151,6 @@ def replay(
         if suite is not None:
             find_suite(suite)
         announce(f"playing {episodes} buildings of each task in {file} ...", engines=[])
-        from usarmjx.sweeps.spec import find_suite
         from usarmjx.sweeps.standings import replay as play_again
         from usarmjx.sweeps.suite import load_suite, read_result
 

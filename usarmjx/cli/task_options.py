@@ -88,6 +88,7 @@ def task_pairs(task: str, settings: Sequence[str], config: Path | None) -> list[
 
 def field_texts(task: "Task", data: Mapping[str, FileValue]) -> dict[str, str]:
     """Return checked fields of a file as texts that `--set` reads."""
+    # Only checked, in the file's form: a refusal then names the file's line.
     default_reader().values(type(task), data, base=task)
     return {name: text for key, value in data.items() for name, text in _as_texts(key, value)}
 
@@ -211,7 +212,7 @@ class PolicyOptions:
         Raises:
             UsageError: None is named, or two are, or there is none of that name.
         """
-        from usarmjx.train.policies.sources import baseline as by_hand
+        from usarmjx.train.policies.sources import baseline as baseline_source
         from usarmjx.train.policies.sources import load_policy, untrained
         from usarmjx.train.task_names import is_own
 
@@ -222,7 +223,7 @@ class PolicyOptions:
                 )
             return untrained(self.agent, self.task)
         if self.baseline is not None and self.policy is None:
-            return by_hand(self.baseline, self.task)
+            return baseline_source(self.baseline, self.task)
         named = self.policy or self.task
         if named is None or self.baseline is not None:
             raise UsageError("name either a run, file or packaged policy, or a --baseline")

@@ -15,9 +15,7 @@ import typer
 from typer.core import TyperCommand
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.settings import (
-    to_yaml,
-)
+from usarmjx.base.settings import to_yaml
 from usarmjx.cli.common import (
     ErrorExit,
     OldOutArgument,
@@ -282,6 +280,7 @@ def train(
             raise UsageError("a run that is resumed has networks of its own: leave out --from or --resume")
         if source is None and checkpoint != "best":
             raise UsageError("--checkpoint says which one of the run that --from names: name that, too")
+        # Of FILE.py:CLASS the class names the folder, or else the file.
         out = out or Path("runs") / task.rpartition(":")[2].removesuffix(".py")
         typed = {"num_worlds": num_worlds, "total_steps": total_steps, "seed": seed}
         options = TrainOptions(
@@ -410,8 +409,6 @@ def _served(run: Path, task: str, port: int, wanted: bool, offset: int = 0) -> G
     from usarmjx.train.task_names import is_own
 
     if os.name == "nt":
-        from usarmjx.base.errors import UsageError
-
         raise UsageError(f"train --serve needs POSIX: run `usarmjx play {run} --serve --follow` beside it")
     command = [sys.executable, "-m", "usarmjx", "play", str(run), "--serve", "--follow", "--port", str(port)]
     command += ["--port-offset", str(offset)] if offset else []

@@ -61,10 +61,12 @@ class PictureStream:
             while True:
                 began = loop.time()
                 number, size = HEADER.unpack(await reader.readexactly(HEADER.size))
+                # Bytes of another kind of server read as any size.
                 if size > MAX_SIZE:
                     raise UsageError(f"{self._host}:{self._port} is no image server")
                 yield decode(number, await reader.readexactly(size))
                 await asyncio.sleep(max(0.0, began + self._period - loop.time()))
+                # A picture comes for each OK, so the pace is this client's.
                 writer.write(b"OK")
         except (ConnectionError, asyncio.IncompleteReadError):
             return
