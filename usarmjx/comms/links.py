@@ -42,6 +42,7 @@ def antenna_positions(robot: RobotSpec, pos: Array, quat: Array, floor: float) -
     """
     mat, (x, y, z) = mat_from_quat(quat), flip_vector(antenna_offset(robot))
     position = pos + mat[..., 0] * x + mat[..., 1] * y + mat[..., 2] * z
+    # Only z has a lower bound.
     lowest = np.array([-np.inf, -np.inf, floor + MIN_ANTENNA_HEIGHT], np.float32)
     return xp.maximum(position, lowest)
 
@@ -96,6 +97,7 @@ def reachable(linked: Array, base: Array | int, max_hops: int | None = None) -> 
     """
     if max_hops is None:
         return xp.take(transitive_closure(linked), base, -2)
+    # An unreachable robot counts as many hops as there are robots: no limit may let it in.
     return hops(linked, base) <= min(max_hops, linked.shape[-1] - 1)
 
 
@@ -187,6 +189,7 @@ def _square(values: Array, robots: int, diagonal: float) -> Array:
     low, high = pair_slots(robots)
     index = np.zeros((robots, robots), int)
     index[low, high] = index[high, low] = np.arange(len(low))
+    # One robot makes no pair, and nothing can be gathered from an empty array.
     if not len(low):
         return xp.full((robots, robots), diagonal, values.dtype)
     return xp.where(np.eye(robots, dtype=bool), xp.asarray(diagonal, values.dtype), values[index])

@@ -190,6 +190,7 @@ def _crosses_geom(geoms: wp.array[wp.vec4], at: int, stride: int, middle: wp.vec
     place = load_vec4(geoms, at + stride)
     offset = middle - wp.vec3(place[0], place[1], place[2])
     crossed = wp.bool(False)
+    # Most walls are upright boxes, for which these rows are enough; all others have a height of -1.
     if place[3] >= 0.0:
         turn = load_vec4(geoms, at + 2 * stride)
         m = wp.vec3(
@@ -214,6 +215,7 @@ def _count_wholes(
     """Return how many geoms that are no pieces a segment crosses."""
     along = wp.vec2(half[0], half[1])
     length = wp.length(along)
+    # A vertical segment has no horizontal direction: as its length is 0, any will do.
     along = wp.where(length > TINY, along / wp.max(length, TINY), wp.vec2(1.0, 0.0))
     total = wp.int32(0)
     begin = wp.int32(0)
@@ -224,6 +226,8 @@ def _count_wholes(
         second = wp.uint32(0)
         third = wp.uint32(0)
         fourth = wp.uint32(0)
+        # Four groups at a time, from the last to the first: their bits are shifted along and `near` has the
+        # first's.
         group = wp.min((count - begin + 31) >> 5, 4)
         at = first + begin + group * GROUP
         while group > 0:
@@ -308,6 +312,7 @@ def count_crossings(
 ) -> None:
     """Count the solids that each segment crosses; the first `wholes` of a world's geoms are no pieces."""
     t = thread_index(wp.tid())
+    # The padding of `pack_solids`: GROUP is a power of two.
     stride = (count + GROUP - 1) & ~(GROUP - 1)
     first = world[integer_quotient(t, segments)] * ROWS * stride
     middle = (start[t] + end[t]) * 0.5
@@ -349,8 +354,10 @@ def _packed(kind: int, block: GeomBlock) -> jax.Array:
     else:
         reach = jnp.asarray(bounding_radius(kind, tuple(size.T)))
     if kind == BOX:
+        # Without a tolerance: a box with the least tilt goes through the general test.
         level = (mat[:, 0, 0] == mat[:, 1, 1]) & (mat[:, 1, 0] == -mat[:, 0, 1]) & (mat[:, 2, 2] == 1)
         upright = level & (mat[:, 2, :2] == 0).all(-1) & (mat[:, :2, 2] == 0).all(-1)
+        # The circle around its base, which is smaller than that around its bounding sphere.
         reach = jnp.where(upright, jnp.hypot(size[:, 0], size[:, 1]), reach)
     x, y, z = jnp.asarray(block.pos).T
     rows = (

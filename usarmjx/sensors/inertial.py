@@ -179,6 +179,7 @@ class MagnetometerSettings(SensorSettings):
     @property
     def field(self) -> np.ndarray:
         """Earth's field in world axes, x to the north and z up [uT] (3,)."""
+        # y points west in a world whose x is north: a field to the east is negative there.
         level, east = math.cos(self.inclination), math.sin(self.declination)
         ahead = level * math.cos(self.declination)
         return self.strength * np.array([ahead, -level * east, -math.sin(self.inclination)], np.float32)
@@ -261,6 +262,7 @@ class Ahrs(Sensor):
         """Divide the changes since the last reading by its time."""
         elapsed = inputs.clock.since(memory.step)[..., None]
         later = elapsed > 0
+        # Both branches are computed: 1 instead of 0 avoids 0 / 0 in the one that is not used.
         span = xp.where(later, elapsed, 1.0)
         velocity, angles = inputs.state.linear, angles_from_mat(inputs.bodies.mat[..., 0, :, :], xp)
         _, mat = self.mount_poses(inputs.bodies)

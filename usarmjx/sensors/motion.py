@@ -427,6 +427,7 @@ class Tachometer(Sensor):
         angles = inputs.state.joint_pos[..., self._joints]
         elapsed = inputs.clock.since(memory.step)[..., None]
         later = elapsed > 0
+        # Both branches are computed: 1 instead of 0 avoids 0 / 0 in the one that is not used.
         mean = (angles - memory.angles) / xp.where(later, elapsed, 1.0)
         spins = xp.where(later, mean, inputs.state.joint_vel[..., self._joints])
         now = xp.broadcast_to(inputs.clock.step, memory.step.shape)

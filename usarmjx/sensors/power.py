@@ -57,6 +57,7 @@ class BatteryMeter(Sensor):
         """Measure once."""
         settings, life = self.settings[0], self.plan.robot.battery_life
         full = xp.full(inputs.state.pos.shape[:-1], life)
+        # None where inputs are made without rays, as at the start of an episode.
         left = full if inputs.battery is None else xp.asarray(inputs.battery, xp.float32)
         charge = xp.clip(left / life, 0.0, 1.0)
         voltage = settings.empty_voltage + charge * (settings.full_voltage - settings.empty_voltage)

@@ -337,6 +337,7 @@ class IrScannerSettings(ScannerSettings):
     @property
     def beams(self) -> int:
         """Number of beams: the number of steps, as the end of the field of view has none (IRScanner.uc)."""
+        # The margin keeps a quotient that rounding has put just above a whole number from adding a beam.
         return math.ceil(self.scan_fov / self.resolution - 1e-3)
 
 
@@ -557,6 +558,7 @@ class LineLaser(Sensor):
         pos, mat = self.mount_poses(inputs.bodies)
         origin, along = self.fans(inputs.bodies).rays()
         met = inputs.hits.distance <= self.max_distance
+        # Bounded first: an infinite distance times a component of 0 is NaN.
         points = origin + xp.minimum(inputs.hits.distance, self.max_distance)[..., None] * along
         pose = xp.stack([pos[..., 0, :], angles_from_mat(mat[..., 0, :, :], xp)], -2)
         red = xp.broadcast_to(RED, points.shape)

@@ -86,6 +86,7 @@ def _link_quality(settings: RfidSettings, strength: Array) -> Array:
         settings.rx_sensitivity_dbm,
         signal_strength(settings, np.ones((), np.float32), np.zeros((), np.float32), np),
     )
+    # The lower bound is for a receiver so deaf that it would miss a tag at 1 m.
     return xp.clip((strength - least) / max(float(best) - least, 1e-3), 0.0, 1.0)
 
 
@@ -205,9 +206,11 @@ class Rfid(Sensor):
         del key
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
+        # The same tags in the same order as those that the rays were aimed at: hit k belongs to tag k.
         tags = _nearest_tags(inputs.surroundings_or_empty, pos[..., 0, :])
         blocked = xp.zeros(tags.there.shape, bool)
         if settings.mode != RADIUS_MODE:
+            # A ray that was not cast has an infinite distance: its tag, out of range, is not blocked either.
             blocked = inputs.hits.distance < tags.distance - OBSTACLE_MARGIN
         if settings.mode == ATTENUATION_MODE:
             near, strength = tags.there, signal_strength(settings, tags.distance, blocked)

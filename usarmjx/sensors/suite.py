@@ -84,6 +84,7 @@ class Suite:
     def ray_counts(self) -> tuple[int, ...]:
         """Number of rays of each sensor."""
         n = len(self.plan.parts)
+        # Any poses do: the number of rays depends on neither poses nor surroundings.
         bodies = BodyPoses(pos=np.zeros((n, 3), np.float32), mat=np.zeros((n, 3, 3), np.float32))
         with numpy_backend():
             return tuple(len(sensor.aimed_rays(bodies, NO_SURROUNDINGS)[0]) for sensor in self.sensors)
@@ -215,6 +216,7 @@ class Suite:
                 distance[wanted, self._rays_of(i)] = met.distance
                 cosine[wanted, self._rays_of(i)] = met.cosine
                 continue
+            # Without an axis over robots, the empty index stands for the only one.
             for robot in zip(*np.nonzero(wanted), strict=True) if slot.ndim else [()]:
                 if together is not None:
                     origin, direction = (part[robot] for part in together)
@@ -320,6 +322,7 @@ class Suite:
     def _stays_armed(self, own: tuple[Any, ...]) -> Array:
         """Return which sensors measure again without a command (..., sensors), after a reading."""
         going = [sensor.goes_on(memory) for sensor, memory in zip(self.sensors, own, strict=True)]
+        # By identity: a traced flag has no truth value.
         if all(one is False for one in going):
             return self._automatic
         going = xp.broadcast_arrays(*(xp.asarray(one, bool) for one in going))

@@ -410,6 +410,7 @@ class HumanMotion(Sensor):
         first = xp.argmin(far)
         same = seen & (movers.owner == movers.owner[first])
         speed, swing = (xp.where(same, values, 0.0).max() for values in (movers.speed, movers.swing))
+        # If none is seen, argmin names the first.
         found = xp.isfinite(far[first])
         likely = xp.where(
             found, human_motion_probability(xp.where(found, far[first], 0.0), speed, swing), 0.0

@@ -188,6 +188,7 @@ def spin_gains(robot: RobotSpec) -> tuple[float, float] | None:
     drive = robot.drive
     if not (isinstance(drive, SkidSteer) and np.isfinite(drive.max_turn)):
         return None
+    # 0.02 s is the control period of the default physics, which `record_drive` uses.
     steps = round(SPIN_SECONDS / 0.02)
     command = np.array([-drive.max_spin, drive.max_spin], np.float32)
     log = record_drive(robot, np.tile(command, (steps, 1, 1)))
@@ -253,6 +254,7 @@ def _fit(
         residuals_at,
         first,
         jacobian_at,
+        # Beyond `f_scale`, 0.1 m/s, weighted errors count less than by their squares.
         bounds=(low, high),
         loss="soft_l1",
         f_scale=0.1,
@@ -284,6 +286,7 @@ def _twists(values: Array, commanded: Array, period: float, sides_apart: bool) -
 def _jacobian(function: Callable[[Array], Array], values: Array) -> Array:
     """Return the Jacobian of a function (results, numbers)."""
 
+    # Forward mode: there are eight numbers and thousands of residuals.
     def directional_derivative(direction: Array) -> Array:
         return jax.jvp(function, (values,), (direction,))[1]
 
@@ -322,12 +325,14 @@ def pose_errors(robot: RobotSpec, robots: int = 16, seed: int = 1) -> dict[str, 
 
     Medians over robots of the distance [m] and of the difference in heading [rad], by the time [s].
     """
+    # Other commands than those of the fit, whose seed is 0: on those the errors would look too small.
     commands = random_commands(robot, robots, round(HORIZONS[-1] / 0.02), seed)
     measured, planar = record_drive(robot, commands, "c"), record_drive(robot, commands, "planar")
     errors: dict[str, dict[str, float]] = {}
     for horizon in HORIZONS:
         step = round(horizon / measured.period) - 1
         difference = planar.pose[step] - measured.pose[step]
+        # Through sine and cosine: a heading just below half a turn is near one just above it.
         turn = np.arctan2(np.sin(difference[:, 2]), np.cos(difference[:, 2]))
         path_length = np.linalg.norm(np.diff(measured.pose[: step + 1, :, :2], axis=0), axis=-1).sum(0)
         errors[f"{horizon:g} s"] = {

@@ -235,6 +235,7 @@ def _driven_joints(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     for i, aim in enumerate(robot.drive.joint_controls):
         joint = names.index(aim.joint)
         mask[joint], row[joint] = True, i
+    # Undriven joints keep row 0, which `set_drive` gathers and masks out again.
     return mask, row
 
 
@@ -263,6 +264,7 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
         UnknownNameError: A key that this drive does not have; lists those it has.
     """
     drive, setpoint = robot.drive, command.setpoint
+    # Before the check: `other_keys` are names that only the conversion knows.
     values = drive.to_own_keys(values, setpoint)
     check_drive_keys(robot, values)
     for key, value in values.items():
@@ -602,6 +604,7 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     # Spin about other axes, which the ground causes, would turn the nose: most of it is taken away.
     aside = spin - along * axis
     change = (drive - damping * along) * axis - STEADYING / period * aside
+    # Euler's equation: the second term cancels the gyroscopic torque, which would tip the spin over.
     torque = matvec(plan.inertia, change) + xp.cross(spin, matvec(plan.inertia, spin))
     # Its drift is damped as fast as a force that is held for a control step can do it.
     drift = state.linear * np.array([1.0, 1.0, 0.0], np.float32)

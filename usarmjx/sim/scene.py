@@ -159,14 +159,14 @@ class GeomTable:
 
     Attributes:
         geom: Ids of the geoms that they belong to (n,).
-        kind: MuJoCo types, or kinds of `models.build.pieces` (n,).
+        kind: MuJoCo types, or kinds of `models.compile.ray_geoms` (n,).
         pos: Positions [m] (n, 3).
         mat: Orientations (n, 3, 3).
         size: Size numbers [m] (n, 3).
-        material: Their materials; members of `spec.MATERIALS` (n,).
+        material: Their materials; members of `shapes.MATERIALS` (n,).
         rgb: Their colours (n, 3).
         label: Their labels in a segmentation, see `cameras.paint` (n,).
-        texture: Codes of what is on them, see `models.spec.textures` (n,).
+        texture: Codes of what is on them, see `shapes.texture_names` (n,).
     """
 
     geom: np.ndarray
@@ -185,7 +185,7 @@ class LooseGeoms:
     """Geoms of loose objects.
 
     Attributes:
-        root_qpos: Qpos addresses of the objects' free joints (objects, 7).
+        root_qposadr: Qpos addresses of the objects' free joints (objects, 7).
         root_dof: Qvel addresses (objects, 6).
         owner: The object that each piece belongs to (n,).
         local: The pieces, in the frames of their objects.
@@ -517,6 +517,7 @@ def parse_roster(text: str) -> list[str]:
         UnknownNameError: No such robot class.
     """
     names: list[str] = []
+    # Empty parts are dropped: a comma at the end adds no robot, and "" is an empty roster.
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, count = part.partition(":")
         if count and not count.isdecimal():

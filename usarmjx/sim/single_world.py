@@ -107,6 +107,7 @@ class SpeedLimits:
         """Look where robots are; return how fast each may be after the next control step [m/s], by slot."""
         height = qpos[self._heights]
         # The engine recovers such a robot; until then its greatest height stands in.
+        # One product tests all heights: NaN and infinity spread through its sum.
         if not math.isfinite(np.vdot(height, height)):
             height = np.where(np.isfinite(height), height, self._max_heights)
         self._max_heights = np.maximum(self._max_heights, height)
@@ -164,6 +165,7 @@ class SingleWorld:
         self._subscenes: dict[frozenset[int], SubScene] = {}
         self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
         self._geom_colors: tuple[Scene, GeomColors] | None = None
+        # Before step 0, so that the first step computes a table.
         self._moved_ahead: tuple[int, GeomPoses | None] = -LOOKAHEAD_STEPS, None
         self._regroup({}, {})
         self._suction = Suction(self.engine, lambda: self._use_arena(self.scene.arena))
@@ -213,6 +215,7 @@ class SingleWorld:
         def remove(spec: mujoco.MjSpec) -> None:
             remove_robot(spec, prefix)
 
+        # Far above the arena it touches nothing until the search below has found room for it.
         place = parking_position(self.scene.arena, slot)
         try:
             self.engine.edit(lambda spec: add_robot(spec, robot, prefix, place), remove)
@@ -256,6 +259,7 @@ class SingleWorld:
         found = free_pose(model, data, index, np.array(pos), quat, floor, 0.0)
         if found is None:
             raise PlaceError(f"no room for {self.roster[slot].name} at {{}}", pos)
+        # Before it moves: its weld would drag what it holds along.
         self._suction.open(self._suction.of_robots([slot]))
         self.engine.place(self._indices[slot], *found)
         self._speeds.reset_robots([slot], self.engine.data.qpos)
@@ -267,6 +271,7 @@ class SingleWorld:
         data.qpos[loose.root_qposadr[number]] = (*pos, *quat)
         data.qvel[loose.root_dof[number]] = 0.0
         self.engine.hold(f"{LOOSE_PREFIX}{self.scene.arena.loose[number].name}", pos, quat)
+        # MuJoCo computes poses of bodies in a step; rays and searches for room may come before.
         mujoco.mj_kinematics(self.engine.model, data)
 
     def add_loose(self, thing: LooseObject, *, held: bool) -> None:
@@ -365,6 +370,7 @@ class SingleWorld:
         # Scenes of subsets point at the old model.
         self._subscenes = {}
         self._indices = {int(s): i for g in groups for s, i in zip(g.slots, g.indices, strict=True)}
+        # A slot without a home has been left: the next robot in it must not inherit how high that one was.
         max_heights = {slot: top for slot, top in self._speeds.max_heights.items() if slot in self._homes}
         self._speeds = SpeedLimits(groups, max_heights, self.engine.data.qpos, self.scene.physics.period)
 
@@ -386,6 +392,7 @@ class SingleWorld:
         lost, recovery = self.engine.advance(self._indices, limits, self._homes)
         # The engine has checked already that all is finite and no robot too fast, as `finish_step` does.
         faults, step = self.world.faults, np.array(self.world.step, np.int32)
+        # An array, counted up in place: a NumPy scalar warns when it wraps around.
         step += 1
         # The 32-bit count wraps around after 2**31 - 1 steps, 497 days at 0.02 s.
         self._wraps += int(step < self.world.step)
@@ -454,6 +461,7 @@ class SingleWorld:
         def rows(old: Array, part: Array) -> np.ndarray:
             if np.shape(part) == np.shape(old):  # all of them
                 return np.asarray(part)
+            # A copy: the state of before may still be in use, as values are.
             copy = np.array(old)
             copy[members] = part
             return copy
@@ -487,6 +495,7 @@ class SingleWorld:
     def edit(self, slot: int, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of a robot's state."""
         group, member = self.scene.group_of(slot)
+        # None until the first servo is softened, and rows can be replaced in an array only.
         if "stiffness" in fields:
             state = self.world.groups[group]
             self.world = self.world.with_group(group, state.replace(stiffness=_stiffness_of(state)))
@@ -552,6 +561,7 @@ class SingleWorld:
     @cached_property
     def _ground(self) -> CRayCaster:
         """Casts rays at what dropped things fall on: floor and arena, without what is loose, and doors."""
+        # Kept when robots and objects come and go: the ground has none of them.
         arena = replace(self.scene.arena, loose=(), doors=())
         model = new_spec(arena, self.scene.physics).compile()
         data = mujoco.MjData(model)
@@ -590,7 +600,9 @@ class SingleWorld:
     @numpy_backend()
     def sight(self) -> CCameraRays:
         """Return a caster of cameras' rays for the present state, which later steps do not change."""
+        # The moving geoms are where the last step had them: rays need them where they are now.
         self.engine.move(*self._moved())
+        # By identity: any robot or object that joins or leaves makes another scene.
         if self._geom_colors is None or self._geom_colors[0] is not self.scene:
             self._geom_colors = self.scene, geom_colors_of(self.scene)
         return CCameraRays(self.engine.model, self.engine.data, self._geom_colors[1])

@@ -94,6 +94,7 @@ class Suction:
         x, y, z = mat_from_angles(*effecter.mount.direction)[:, 0].tolist()
         along = mat @ np.array(flip_vector((x, y, z)))
         query = RayQuery(transparent=frozenset({SKY}), max_distance=reach)
+        # Its own robot is left out: the ray may begin inside the gripper.
         (distance,), _, (geom,) = caster.hit_geoms(start[None], along[None], query, caster.geoms_of(slot))
         if distance > reach:
             return None

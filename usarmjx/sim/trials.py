@@ -525,6 +525,7 @@ def drive_arena(arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> Arena
     metres = seconds = 0.0
     faults: list[str] = []
     for segment in segments:
+        # The lower bound keeps a class without a top speed from dividing by 0.
         limit = EXTRA_TIME + segment.length / (
             MIN_ROUTE_SPEED_SHARE * max(robot.drive.top_speed, 1e-3) * share
         )
@@ -643,6 +644,7 @@ class _PathFinder:
         """Return the cost of ways from a square to all others, and the squares before them."""
         from scipy.sparse import csgraph  # pyright: ignore[reportMissingTypeStubs]
 
+        # Undirected: `SurfaceAdjacency` has each pair of neighbours once.
         lengths, predecessors = cast(Any, csgraph).dijkstra(
             self._graph, directed=False, indices=node, return_predecessors=True
         )

@@ -43,6 +43,7 @@ def geom_colors_of(scene: Scene) -> GeomColors:
     model, water = scene.model, visible_water(scene)
     materials, label = materials_of(model, scene.arena), labels_of(model, scene.arena)
     visuals = [*_robot_visuals(scene), *_victim_visuals(scene)]
+    # The empty array first: a scene may have no visuals.
     rgb = np.concatenate([np.zeros((0, 3)), *(one.figure.model.geom_rgba[:, :3] for one in visuals)])
     visual_labels = np.repeat([one.label for one in visuals], [one.figure.model.ngeom for one in visuals])
     opaque = np.zeros(len(rgb), np.float32)

@@ -444,6 +444,7 @@ def observe(
     Arguments are those of `sense`.
     """
     sensor_inputs = sense(scene, world, physics, cast)
+    # By the step's number and not by a running key: a reading does not depend on which steps were observed.
     key = random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
     groups: list[GroupState] = []
     readings: list[tuple[Reading, ...]] = []

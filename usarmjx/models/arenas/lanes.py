@@ -63,6 +63,7 @@ class MobilityLane:
 
     def way(self, back: bool) -> tuple[Position2D, ...]:
         """Return points from one end to the other [m]: both mouths of the lane, and the middle of the end."""
+        # The last point takes the whole robot out of the lane, as a traverse that counts needs.
         out = (
             (-MOUTH_DISTANCE, 0.0),
             (self.length + MOUTH_DISTANCE, 0.0),
@@ -135,6 +136,7 @@ def _ramped(angle: float, run: float) -> Shape:
 
 def _flight(angle: float, count: int = 7) -> tuple[float, float, tuple[Shape, ...]]:
     """Return run and rise of a flight of stairs, and its steps."""
+    # The last rise ends at the deck of the far end: there is one tread less than rises.
     run = (count - 1) * RISE / math.tan(angle)
     return run, count * RISE, stairs((run, 0.0), 0.0, count, angle=angle)
 

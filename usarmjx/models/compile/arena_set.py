@@ -396,6 +396,7 @@ def _colours(boxed: Sequence[Sequence[Shape | None]]) -> np.ndarray:
 def _lamps(arenas: Sequence[ArenaSpec], most: int) -> np.ndarray:
     rows = np.zeros((len(arenas), most, 6), np.float32)
     for row, arena in zip(rows, arenas, strict=True):
+        # Lamps that an arena does not have stay dark: zeros.
         for lamp, light in zip(row, arena.lights, strict=False):
             lamp[:3] = np.add(light.at, (0.0, 0.0, arena.floor))
             lamp[3:] = np.multiply(light.rgb, light.brightness)

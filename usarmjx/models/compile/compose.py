@@ -140,6 +140,7 @@ def add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float, *, held: bo
     if loose.inertia is not None:
         set_inertia(body, arena_inertia(loose.inertia), loose.shapes)
     if held:
+        # A weld is a soft constraint: under its weight the object would sag.
         body.gravcomp = 1.0
         add_weld(spec, name, WORLD, name, (body.pos, body.quat))
         # Contacts with what it hangs beside would work against the weld.
@@ -150,6 +151,7 @@ def add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float, *, held: bo
 def remove_loose(spec: mujoco.MjSpec, name: str) -> None:
     """Remove the loose object of that name, and what holds it."""
     body = f"{LOOSE_PREFIX}{name}"
+    # A list of its own: deleting changes that of the description.
     for exclude in list(spec.excludes):
         if exclude.bodyname2 == body:
             spec.delete(exclude)

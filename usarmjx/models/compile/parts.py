@@ -113,12 +113,14 @@ def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
     parts: list[Part] = []
     placed = {CHASSIS}
     while waiting:
+        # Descriptions may have a part before its parent; apart from that their order stays.
         ready = next((part for part in waiting if part.parent in placed), None)
         if ready is None:
             lost = ", ".join(f"{part.name} (on {part.parent})" for part in waiting)
             raise SpecError(f"robot {robot.name}: parts without a parent: {lost}; parts: {', '.join(names)}")
         waiting.remove(ready)
         items = _item_shapes(robot, ready.name)
+        # Without looks a part shows its solids; items on it are seen in both cases.
         looks = (*(ready.looks or ready.shapes), *items)
         parts.append(replace(ready, shapes=(*ready.shapes, *items), looks=looks))
         placed.add(ready.name)
@@ -162,6 +164,7 @@ def joint_names(robot: RobotSpec) -> tuple[str, ...]:
 def is_shown(mount: Mount) -> bool:
     """Return whether a mount's settings show it; by default sensors are hidden (manual 10)."""
     values = [value for key, value in mount.all_options if field_name(key) == "hidden_sensor"]
+    # Of several values of a key the last one counts, as in `resolve_settings`.
     return bool(values) and values[-1] is False
 
 

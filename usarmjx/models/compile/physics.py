@@ -74,6 +74,8 @@ class Physics:
     @property
     def rows_per_contact(self) -> int:
         """Constraint rows of a contact with sliding friction."""
+        # MuJoCo's elliptic cone has a normal row and two tangential ones, the pyramidal one two for each
+        # tangent.
         return 3 if self.cone == "elliptic" else 4
 
     @classmethod

@@ -136,6 +136,7 @@ def _hull(shape: Shape, grid: Grid) -> SpanRows:
 
     assert shape.mesh is not None
     corners = shape.mesh.vertices @ mat_from_angles(*np.array(shape.rotation)).T + shape.at
+    # Qhull's faces are n x + d <= 0, those of `_rows` n x <= offset.
     faces = ConvexHull(corners).equations
     low, high = corners[:, :2].min(0), corners[:, :2].max(0)
     return _rows(faces[None, :, :3], -faces[None, :, 3], low[None], high[None], grid)
@@ -169,6 +170,7 @@ def _rows(
         up = normal[owner, 2]
         upright = np.abs(up) < VERTICAL_NORMAL_Z
         inside &= ~upright | (left >= 0.0)
+        # Upright faces cut no point off the line: 1 in place of their 0 keeps the quotient finite.
         cut = left / np.where(upright, 1.0, up)
         lower = (up >= VERTICAL_NORMAL_Z) & (cut < ends_high)
         ends_high = np.where(lower, cut, ends_high)

@@ -101,6 +101,7 @@ def walkable_surfaces(
 
     order = np.lexsort((solids.low, solids.square))
     square, low, high, slant = (v[order] for v in (solids.square, solids.low, solids.high, solids.slope))
+    # Rows are sorted by cell: the first of each cell gives every row its rank there.
     first = np.searchsorted(square, square)
     rank = np.arange(len(square)) - first
     # All cells at once: the k-th pass handles the k-th lowest solid of every cell that has one.
@@ -159,6 +160,7 @@ def octagon(steps: int) -> Iterator[bool]:
 
     A square or a diamond of neighbours alone would err by 41 % of the distance in some directions.
     """
+    # With this share of steps over corners all eight sides come out equally long.
     share = 1 / (1 + math.sqrt(2))
     for step in range(steps):
         yield round((step + 1) * share) > round(step * share)
@@ -285,6 +287,7 @@ class ReachMap:
             return False
         under = np.isfinite(self.ground[:, i, j])
         if z is not None:
+            # Of the surfaces below the point the highest: the one that it is above.
             under = np.flatnonzero(self.ground[:, i, j] <= z + SURFACE_TOLERANCE)[-1:]
         return bool(self._spread(distance)[under, i, j].any())
 

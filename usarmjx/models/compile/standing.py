@@ -229,6 +229,7 @@ def stances_in(
         _place(wheel, WHEEL_KNOTS, one if varied.wheel is None else varied.wheel[where]),
         _place(mass, MASS_KNOTS, one if varied.mass is None else varied.mass[where]),
     )
+    # Between two unit quaternions the interpolated one is a little short.
     tilt = numbers[:, 1:5] / xp.sqrt((numbers[:, 1:5] ** 2).sum(-1, keepdims=True))
     return VariedStances(lift=numbers[:, 0], tilt=tilt, joints=numbers[:, 5:])
 
@@ -250,7 +251,9 @@ def _table_of(robot: RobotSpec, wheel: Range, mass: Range) -> np.ndarray:
 def _place(span: Range | None, knots: int, value: Array) -> tuple[Array, Array]:
     """Return the entries below values (n,) in a range, and their shares of the way to the next (n, 1)."""
     low, high = span or ALWAYS
+    # The bound is for a range of a single value, in which any entry is right.
     place = xp.clip((value - low) / max((high - low) / (knots - 1), 1e-9), 0.0, knots - 1.0)
+    # The end of the range belongs to its last interval.
     below = xp.clip(xp.floor(place), 0.0, knots - 2.0)
     return below.astype(xp.int32), (place - below)[:, None]
 

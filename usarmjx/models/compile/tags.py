@@ -41,6 +41,7 @@ def tag_ids(tags: Sequence[Tag]) -> tuple[int, ...]:
             )
     if len(set(given)) < len(given):
         raise SpecError(f"tags of one ID among {', '.join(map(str, given))}")
+    # One number more than tags: enough even if all given ones are among them.
     free = (
         number
         for number in range(MAX_RELEASED_ID + 1, MAX_RELEASED_ID + 2 + len(tags))
@@ -62,6 +63,7 @@ def tag_table(tags: Sequence[Tag], capacity: int | None = None) -> TagTable:
     more = 0 if capacity is None else capacity - len(tags)
     if more < 0:
         raise SpecError(f"{len(tags)} tags do not fit into room for {capacity}")
+    # A negative ID marks room without a tag; see `Surroundings.tag_there`.
     return TagTable(
         pos=np.array([*(tag.at for tag in tags), *[(0.0, 0.0, 0.0)] * more], np.float32).reshape(-1, 3),
         id=np.array([*tag_ids(tags), *[-1] * more], np.int32),

@@ -337,6 +337,7 @@ def _body(victim: Victim, owner: int, first: int) -> list[_Box]:
         if scale[name] == 0:
             continue
         root = bone.parent is None
+        # Parents are indices in the whole table, where this body begins at `first`.
         above = -1 if bone.parent is None else first + list(rows).index(bone.parent)
         rows[name] = _Box(
             name=name,

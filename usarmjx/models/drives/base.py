@@ -197,13 +197,16 @@ def drive_values(
         "FrontSteer": left,
         "RearSteer": -left,
         "LinearVelocity": ahead,
+        # Signs are the manual's: positive turns right here and for Rudder, left for TailPropeller (12.21.3).
         "RotationalVelocity": -left,
         "AltitudeVelocity": up,
         "Propeller": ahead,
         "Rudder": -left,
         "SternPlane": up,
+        # A blimp's thrusters push along their bar: rising alone needs their speed too.
         "ThrustPropeller": ahead if ahead or not up else abs(up),
         "TailPropeller": left,
+        # Backwards the speed along the bar is negative, which turns its angle around.
         "XZAngle": (1.0 if ahead >= 0 else -1.0) * up * (0.5 if ahead else 1.0),
     }
     wheels = sorted(key for key in keys if key.startswith(WHEEL_STEER))

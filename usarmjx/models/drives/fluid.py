@@ -143,6 +143,7 @@ class Hull:
         level = xp.clip(depth[..., None] / reach, -1.0, 1.0)
         # Volume and centroid of a spherical segment, in units of the ball's.
         share = (2 + 3 * level - level**3) / 4
+        # Above the water both are 0.
         middle = -0.75 * (1 - level) ** 2 * (1 + level) ** 2 / xp.maximum(4 * share, 1e-6)
         return share, radii**2 * up / reach * middle
 
@@ -315,6 +316,7 @@ class Underwater(Drive):
         side, rise = sideways * xp.cos(rudder), lift * xp.cos(plane)
         force = xp.stack([thrust + drag, side, rise], -1)
         torque = xp.stack([xp.zeros_like(side), self.stern_arm * rise, -self.stern_arm * side], -1)
+        # Out of the water propeller and plates push nothing.
         share, _ = self.hull.immersion(depth, mat[..., 2, :])
         return self.hull.body_wrench(mat, share * force, share * torque, share)
 
@@ -410,16 +412,19 @@ class RotaryWing(Drive):
             linear: Velocities [m/s] (..., 3).
             turn: Turning rates to the left [rad/s] (..., 1).
         """
+        # A body that points straight up has no heading: then no level speed is wanted.
         heading = mat[..., :2, 0] / xp.maximum(_length(mat[..., :2, 0]), 1e-6)
         level = setpoint[..., 1:2] * heading - setpoint[..., 2:3] * _left_of(heading)
         wanted = xp.concatenate([level, setpoint[..., :1]], -1)
         push = self.speed_gain * (wanted - linear)
         strongest = GRAVITY * math.tan(self.acceleration_tilt)
+        # Shortened as a whole: the direction stays.
         share = strongest / xp.maximum(_length(push[..., :2]), strongest)
         # A speed that turns with the body is an acceleration towards the inside of the curve.
         level_push = push[..., :2] * share + turn * _left_of(level)
         force = self.mass * xp.concatenate([level_push, push[..., 2:]], -1) - self._drag(mat, linear)
         weight = self.mass * GRAVITY
+        # Some lift is always wanted: a force of 0 has no direction to turn into.
         rise = xp.clip(force[..., 2:] + weight, MIN_LIFT_SHARE * weight, self.max_thrust)
         most = rise * math.tan(MAX_TILT)
         sideways = force[..., :2] * (most / xp.maximum(_length(force[..., :2]), most))
@@ -437,6 +442,7 @@ class RotaryWing(Drive):
         wanted = matvec(mat.mT, force / _length(force))  # body axes
         tilt = _left_of(wanted[..., :2])  # z cross wanted: its length is the angle's sine
         up = wanted[..., 2:]
+        # Beyond a right angle the sine falls again: there the tilt counts in full.
         tilt = xp.where(up > 0, tilt, tilt / xp.maximum(_length(tilt), 1e-3))
         # Upside down the axis of the tilt is undefined: turn over the side.
         tilt = xp.where(up < -0.99, np.array([1.0, 0.0], np.float32), tilt)
@@ -541,6 +547,7 @@ class Blimp(Drive):
             own["TailPropeller"] = -given["RotationalVelocity"]
         if "AltitudeVelocity" in given or "LinearVelocity" in given:
             angle, speed = setpoint[..., 0], setpoint[..., 1]
+            # The component that is not given keeps its present value.
             up = given.get("AltitudeVelocity", speed * xp.sin(angle))
             ahead = given.get("LinearVelocity", speed * xp.cos(angle))
             # XZAngle covers a half turn only: a speed backwards is a negative speed along the opposite
@@ -576,6 +583,7 @@ class Blimp(Drive):
         mass, inertia = self.hull.effective_inertia()
         linear = matvec(mat.mT, state.linear)
         wanted = speed * xp.concatenate([xp.cos(angle), xp.zeros_like(angle), xp.sin(angle)], -1)
+        # Drag at the wanted speed is fed forward; a gain makes up for the rest within the response time.
         thrust = along * xp.abs(wanted) * wanted + mass / self.response * (wanted - linear)
         thrust = thrust + xp.cross(state.angular, mass * linear)  # Coriolis force of the turn
         thrust = thrust * np.array([1.0, 0.0, 1.0])

@@ -134,6 +134,7 @@ class Gripper(Effecter):
         if own.left_finger and own.right_finger:
             return self
         on_base = [part for part in robot.parts if part.parent == mount.parent and not part.is_wheel]
+        # y points to the right here: the left side is negative.
         left, right = (
             [part.name for part in on_base if side * (part.at[1] - mount.at[1]) > 0] for side in (-1, 1)
         )

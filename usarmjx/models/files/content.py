@@ -130,6 +130,7 @@ def transform_content(content: Content, at: Vec3, yaw: float) -> Content:
         doors=tuple(replace(door, at=there(door.at), yaw=door.yaw + yaw) for door in content.doors),
         starts=tuple(replace(start, at=there(start.at), yaw=start.yaw + yaw) for start in content.starts),
         lights=tuple(replace(light, at=there(light.at)) for light in content.lights),
+        # A turned extent is no rectangle along the axes, and north is no longer x.
         gps=None,
         extent=None,
         free_position=None if content.free_position is None else there((*content.free_position, 0.0))[:2],
@@ -157,6 +158,7 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
         arena: The arena; it needs no start poses yet.
         wish: Preferred x and y; used if there is room.
     """
+    # `reach_map` wants a start pose; the areas do not depend on it.
     nowhere = StartPose(tag=DEFAULT_START_TAG, at=(*np.mean(arena.extent, axis=1).tolist(), START_ELEVATION))
     found = reach_map(replace(arena, starts=(nowhere,)), *START_CLEARANCE, slope=PREFERRED_START_SLOPE)
     if found.area.max() < 0:
@@ -171,8 +173,10 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
     largest = np.bincount(areas)[areas] == np.bincount(areas).max()
     aim = wish if wish is not None else (x[largest].mean(), y[largest].mean())
     away = np.hypot(x - aim[0], y - aim[1])
+    # Where no robot fits at the wish itself, only the largest area counts.
     if wish is None or away.min() > found.grid.cell:
         away = np.where(largest, away, np.inf)
+    # The last key of `lexsort` is the first one: of equal distances the lowest ground wins.
     best = int(np.lexsort((ground, away))[0])
     at = (round(float(x[best]), 3), round(float(y[best]), 3), round(float(ground[best]) + START_ELEVATION, 6))
     return StartPose(tag=DEFAULT_START_TAG, at=at)

@@ -112,12 +112,14 @@ def _scanner(sensor: LinedElement, source: RobotSource) -> Found:
         for key, path, usual in (("MinRange", "range/min", 0.1), ("MaxRange", "range/max", 10.0))
     )
     limits += _noise(ray, sensor, source, float(limits[1][1]))  # type: ignore[arg-type]
+    # Our scanners cover a full turn at most.
     field = min(max(high - low, 0.0), 2 * math.pi)
     middle, tilt = (low + high) / 2, 0.0
     if _is_ultrasound(sensor):
         return "Sonar", (*limits, ("BeamAngle", max(field, HALF_DEGREE))), _turn(middle, 0.0)
     if beams <= 1 or field < HALF_DEGREE:
         return "IR", limits, _turn(middle, 0.0)
+    # Samples are at both ends of the field.
     step = field / max(beams - 1, 1)
     if rows <= 1:
         return "RangeScanner", (*limits, ("ScanFov", field), ("Resolution", step)), _turn(middle, tilt)
@@ -212,6 +214,7 @@ def _called(plugin: LinedElement) -> str:
 
 def read_plugin(plugin: LinedElement, source: RobotSource) -> None:
     """Add the drive that a plugin states; any other plugin becomes a note."""
+    # Gazebo's and ROS' spellings of a plugin differ in case, `_` and `-`.
     called = _called(plugin).lower().replace("_", "").replace("-", "")
     for word, reader in DRIVE_PLUGINS.items():
         if word in called:

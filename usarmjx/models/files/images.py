@@ -77,6 +77,7 @@ def write_heights(path: Path, heights: np.ndarray) -> float:
     from PIL import Image
 
     top = float(np.max(heights))
+    # Of zeros alone any height of white is right.
     steps = np.rint(np.asarray(heights, float) / (top or 1.0) * 65535).astype(np.uint16)
     with atomic_write(path) as fresh:
         Image.fromarray(np.ascontiguousarray(steps[::-1])).save(fresh)
@@ -116,6 +117,7 @@ def _read_image(path: Path, most: int) -> tuple[str, np.ndarray, str]:
     """Return an image's mode, its pixels (rows, columns[, channels]) and format; palettes become colours."""
     from PIL import Image
 
+    # For its limit of size and its refusals: Pillow opens the file itself.
     read_bytes(path, 8 * most, ArenaFileError)
     try:
         with Image.open(path, formats=FORMATS) as image:

@@ -573,6 +573,7 @@ def _shown(line: str) -> str:
 
 
 def _whole(path: Path, line: int, word: str, most: int) -> int:
+    # Long words are no sizes, and `int` takes its time for thousands of digits.
     number = int(word) if word.isdecimal() and word.isascii() and len(word) < 10 else -1
     if not 0 <= number <= most:
         raise ArenaFileError(f"{path}:{line}: {_shown(word)} is no whole number from 0 to {most}")
@@ -597,6 +598,7 @@ def _walls(grid: GridMap, cell: float, height: float) -> Content:
     for letters, what in (("S", "swamp: floor here"), (LOW, f"water: a barrier of {LOW_HEIGHT} m here")):
         found = _is(grid, letters)
         if found.any():
+            # Rows count from the bottom, lines of the file from the top.
             line = grid.line + int(np.flatnonzero(found[::-1].any(1))[0])
             notes.append(f"{grid.path}:{line}: {int(found.sum())} cells {letters} are {what}")
     rows, columns = walls.shape

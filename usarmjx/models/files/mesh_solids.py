@@ -204,6 +204,7 @@ def surface_plates(mesh: Any) -> list[Plate]:  # noqa: ANN401 - trimesh.Trimesh
         joined[np.asarray(facet)] = True
         for faces in _flat_groups(mesh, np.asarray(facet), beside):
             plates += _of_plane(mesh, faces)
+    # trimesh's facets have two faces at least: the single ones are left.
     for face in np.flatnonzero(~joined):
         plates += _of_plane(mesh, np.array([face]))
     return plates
@@ -317,8 +318,10 @@ def hull_corners(vertices: np.ndarray) -> np.ndarray:
     if hull.volume < MIN_THICKNESS**3:
         return _thickened(vertices)
     points = vertices[hull.vertices]
+    # So few corners cost little: none has to go.
     if len(points) <= 8:
         return points
+    # The extremes in 26 directions are the first hull, from which the distances of all others count.
     ways = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z])
     chosen = set(np.argmax(points @ ways.T, axis=0).tolist())
     while len(chosen) < MAX_HULL_CORNERS:
@@ -326,6 +329,7 @@ def hull_corners(vertices: np.ndarray) -> np.ndarray:
         try:
             inner = hull_of(points[index])
         except (QhullError, ValueError):
+            # The extremes are flat though the mesh is not: any corners are better than these.
             return points[:MAX_HULL_CORNERS]
         outside = points @ inner.equations[:, :3].T + inner.equations[:, 3]
         worst = outside.max(1)
@@ -437,6 +441,7 @@ def _kept_pieces(
     del state
     objects = mesh_objects(path)
     if submesh:
+        # A file with a single object has its name left out (`mesh_objects`).
         objects = [one for one in objects if one[0] in (submesh, "")] or [
             one for one in objects if one[0].startswith(submesh)
         ]
@@ -448,11 +453,13 @@ def _kept_pieces(
         corners = vertices * np.asarray(scale)
         if centred and submesh:
             corners = corners - (corners.min(0) + corners.max(0)) / 2
+        # A mirrored mesh has its faces inside out.
         if np.prod(scale) < 0:
             faces = faces[:, ::-1]
         called = f"{path.name}: {name}".rstrip(": ")
         for part in _parts(corners, faces):
             for piece in _pieces(part, called, use, notes):
+                # A piece without faces is its hull, and MuJoCo has a cheaper kind for boxes.
                 pieces.append(
                     piece if piece.mesh.faces is not None else replace(piece, box=box_of(piece.mesh.vertices))
                 )
@@ -466,6 +473,7 @@ def box_of(corners: np.ndarray) -> tuple[np.ndarray, Pose] | None:
     way = corners[1:] - corners[0]
     lengths = np.linalg.norm(way, axis=1)
     close = BOX_TOLERANCE * float(lengths.max())
+    # Three edges at a corner add up to the way to the opposite one, the farthest.
     for i, j, k in combinations(range(7), 3):
         if np.linalg.norm(way[i] + way[j] + way[k] - way[int(lengths.argmax())]) > close:
             continue
@@ -478,6 +486,7 @@ def box_of(corners: np.ndarray) -> tuple[np.ndarray, Pose] | None:
         if max(away.min(0).max(), away.min(1).max()) > close:
             continue
         axes = (edges / np.linalg.norm(edges, axis=1, keepdims=True)).T
+        # Right-handed, whichever order the edges come in.
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
         return np.linalg.norm(edges, axis=1) / 2, Pose(corners.mean(0), axes)
     return None
@@ -507,6 +516,7 @@ def _pieces(part: Any, name: str, use: Use, notes: list[str]) -> list[WorldPiece
     if use == "seen":
         return _seen(part, corners, volume, name, notes)
     if use == "loose":
+        # A flat piece has to get a share of the object's mass as well.
         return [WorldPiece(Mesh(hull_corners(corners)), max(volume, 1e-9))]
     if volume and _is_convex(part, volume):
         fine = corners if len(corners) <= MAX_VERTICES else hull_corners(corners)
@@ -554,6 +564,7 @@ def _hull_volume(corners: np.ndarray) -> float:
     except (QhullError, ValueError):
         return 0.0
     size = corners.max(0) - corners.min(0)
+    # Qhull succeeds on nearly flat corners too: relative to its size such a piece has no volume.
     return volume if volume > 1e-12 and volume > 1e-6 * float(size.max()) ** 3 else 0.0
 
 

@@ -429,11 +429,14 @@ def convex_pieces(
     _check_reach(vertices, name)
     mesh: Any = trimesh.Trimesh(vertices, faces, process=False)
     graph: Any = trimesh.graph
+    # Files of facets repeat each corner: without merging, every facet would be a piece of its own.
     mesh.merge_vertices()
     every = np.arange(len(mesh.faces))
+    # All faces are nodes, and `min_len` is 1: a single face is a piece too, and none gets lost.
     groups = graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
     if len(groups) > MAX_MESH_PIECES:
         raise ArenaFileError(f"{name}: {len(groups)} pieces; at most {MAX_MESH_PIECES}")
+    # Without repair: holes are refused below instead of closed by a guess.
     parts = mesh.submesh(groups, append=False, repair=False)
     names = (
         [name] if len(parts) == 1 else [f"{name}, piece {i + 1} of {len(parts)}" for i in range(len(parts))]
@@ -449,6 +452,7 @@ def _piece(part: Any, name: str, hull: bool, rays: SeenBy) -> ConvexPiece:  # no
             raise ArenaFileError(f"{name} is not closed, so it has no inside: close it; or {ADVICE}")
         if not part.is_winding_consistent:
             raise ArenaFileError(f"{name} has faces that turn either way round: recalculate its normals")
+        # Negative where all faces point inwards, which does no harm.
         own = abs(float(part.volume))
         if volume > MAX_CONVEX_RATIO * own:
             filled = f"its hull has {volume:.4g} m3, itself {own:.4g}"

@@ -52,6 +52,7 @@ def mat_of(quat: np.ndarray) -> np.ndarray:
 
 def usarsim_vector(vector: np.ndarray) -> Vec3:
     """Convert a vector (3,) from MuJoCo's axes to USARSim's."""
+    # Plus 0.0: -0.0 becomes 0.0, or files would show its sign.
     x, y, z = (np.array(flip_vector(vector.tolist())) + 0.0).tolist()
     return (x, y, z)
 
@@ -60,6 +61,7 @@ def usarsim_angles(mat: np.ndarray) -> Vec3:
     """Convert an orientation (3, 3) from MuJoCo's axes to roll, pitch, yaw in USARSim's."""
     angles = angles_from_mat(mat)
     if np.hypot(mat[0, 0], mat[1, 0]) < GIMBAL_TOLERANCE:
+        # Roll and yaw are one rotation then: all of it counts as yaw.
         angles = np.array([0.0, angles[1], np.arctan2(-mat[0, 1], mat[1, 1])])
     roll, pitch, yaw = (np.array(flip_angles(angles.tolist())) + 0.0).tolist()
     return (roll, pitch, yaw)
@@ -133,6 +135,7 @@ def agrees(one: Inertia, other: Inertia) -> bool:
     """Return whether two inertias are equal within the tolerance."""
     if abs(one.mass - other.mass) > INERTIA_TOLERANCE * other.mass:
         return False
+    # About the radius of gyration: tolerances grow with the body.
     reach = np.sqrt(np.trace(other.tensor) / other.mass)
     near = np.abs(one.centre - other.centre).max() <= INERTIA_TOLERANCE * reach
     return bool(

@@ -64,7 +64,9 @@ def limit() -> None:
         import resource
     except ImportError:
         return
+    # A second more: the limit counts whole ones.
     end = int(time.process_time()) + 1 + CPU_TIME
+    # Readers have no file to write.
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, most))
     _, most = resource.getrlimit(resource.RLIMIT_CPU)
@@ -98,8 +100,10 @@ def try_model(path: str, text: str = "") -> tuple[dict[str, object], list[Any]]:
             raise ValueError(f"it makes {getattr(model, name)} of {name}; at most {most}")
     for name, most in MAX_MODEL_VALUES.items():
         array = getattr(model, name)
+        # In this form: NaN is refused as well.
         if array.size and not abs(array).max() <= most:
             raise ValueError(f"it has {name} up to {abs(array).max():g}; at most {most:g}")
+    # Allocated and dropped: a small model may need huge data.
     mujoco.MjData(model)
     return {}, []
 
@@ -139,6 +143,7 @@ def read_pieces(path: str, count: int, scale: list[float]) -> tuple[dict[str, ob
     _, arrays = read_mesh(path)
     found: list[Any] = []
     for vertices, faces in zip(arrays[::2], arrays[1::2], strict=True):
+        # A mirrored mesh has its faces inside out.
         outward = faces if np.prod(scale) > 0 else faces[:, ::-1]
         mesh = coacd.Mesh(vertices * np.array(scale), outward)
         found += [pair[0] for pair in coacd.run_coacd(mesh, max_convex_hull=count, seed=0, **CUTTING)]
@@ -152,8 +157,10 @@ def _placed_objects(scene: Any) -> list[tuple[str, Any]]:  # noqa: ANN401 - trim
     As ROS and Gazebo do, the scene's unit counts and its upward axis does not.
     """
     found: list[tuple[str, Any]] = []
+    # Sorted: the order must not depend on how trimesh walks the graph.
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
+        # A copy: several nodes may place the same mesh.
         mesh = scene.geometry[name].copy()
         if not hasattr(mesh, "faces"):
             continue
@@ -180,6 +187,7 @@ def read_xacro(path: str, arguments: Any) -> tuple[dict[str, object], list[Any]]
             raise ValueError(f"no folder is found for package {package!r}")
         return folders[package]
 
+    # `$(find ...)` and `$(eval ...)` look it up in two places.
     substitutions._eval_find = find
     substitutions._eval_dict["find"] = find
     try:

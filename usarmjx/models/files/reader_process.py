@@ -164,12 +164,14 @@ class ReaderProcess:
                 child.stdin.write(request)
                 child.stdin.flush()
             head = child.stdout.readline()
+            # A line without its end is what a crash has left of an answer.
             answer = json.loads(head) if head.endswith(b"\n") else None
             body = child.stdout.read(answer["bytes"]) if answer else b""
             if answer is not None and len(body) == answer["bytes"]:
                 return answer, body
             ended = child.wait()
         finally:
+            # A timer that has run out has killed the process.
             timed_out = not late.is_alive()
             late.cancel()
         self.close()

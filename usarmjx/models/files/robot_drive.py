@@ -78,6 +78,7 @@ class BodyTree:
         self._frame = {root: Pose(np.zeros(3), np.eye(3))}  # of a body in the axes of its part
         self._joint: dict[int, int] = {}
         self._above: dict[int, tuple[int, Pose]] = {}  # the part that holds a part, and its pose there
+        # A parent has a lower id than its children in MuJoCo: each body finds its part.
         for body in range(root + 1, model.nbody):
             self._enter(body)
         self.owners = [root, *self._joint]
@@ -223,6 +224,7 @@ class BodyTree:
             raise SpecError(f"{named} has no mass: give its body an inertial or its geoms a density")
         geoms = [pair for pair in self._geoms(owner) if not self._only_looks(pair[0])]
         light = [self._shape(owner, geom, frame, surface) for geom, frame in geoms]
+        # Meshes have no closed form here: with one of them the body's own inertia is stated.
         if all(mujoco.mjtGeom(model.geom_type[geom]) in KINDS for geom, _ in self._geoms(owner)):
             masses = [self._mass(geom) for geom, _ in geoms]
             own = [geom_inertia(model, *geom, mass) for geom, mass in zip(geoms, masses, strict=True)]
@@ -557,6 +559,7 @@ def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str
         if tree.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
             continue  # a suspension
         if abs(float(data.xaxis[joint] @ upwards)) >= UPRIGHT and tree.model.jnt_limited[joint]:
+            # The smaller side, as a car steers equally far to both.
             found[wheel.joint] = (tree.name(steer), float(np.abs(tree.model.jnt_range[joint]).min()))
     return found
 
@@ -584,6 +587,7 @@ def _car(
                 joint=part.joint,
                 steer=steering[part.joint][0] if part.joint in steering else "",
                 x=float(part.at[0]),
+                # To USARSim's axes, whose y points right.
                 y=-float(part.at[1]),
                 powered=part.joint in powered,
             )
@@ -618,6 +622,7 @@ def rotor_drive(model: mujoco.MjModel, root: int, rotors: list[int], size: np.nd
             if model.actuator_ctrllimited[rotor]
             else np.inf
         )
+        # The third number of a gear is the force along the site's z axis.
         lift += abs(float(model.actuator_gear[rotor, 2])) * float(model.actuator_gainprm[rotor, 0]) * most
     # Without limits, or with controls that are no newtons, the file does not tell the thrust.
     if not np.isfinite(lift) or lift <= mass * GRAVITY:

@@ -71,6 +71,7 @@ def ellipsoid_corners(radii: np.ndarray) -> np.ndarray:
     turn = np.arange(ELLIPSOID_SIDES) * 2 * np.pi / ELLIPSOID_SIDES
     up = np.linspace(-np.pi / 2, np.pi / 2, ELLIPSOID_SIDES // 2 + 1)[:, None]
     x, y, z = np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up) + 0 * turn
+    # Each pole comes once for every corner around it: rounding makes the copies equal.
     return np.unique(np.stack([x, y, z], -1).reshape(-1, 3).round(12), axis=0) * radii
 
 
@@ -167,6 +168,7 @@ class _ModelWriter:
             self._urdf_inertial(link, body)
             for geom in self._geoms(body):
                 self._urdf_geom(link, geom)
+        # Body 1 is the chassis, which hangs on no joint.
         for body in range(2, self._model.nbody):
             self._urdf_joint(root, body)
         return root

@@ -157,6 +157,7 @@ def open_robot_file(
         return read_mjcf_robot(path)
     mended = mend_urdf(root)
     source = read_urdf_robot(root, path, resources, pieces)
+    # In the order of the work: mending comes before reading.
     source.notes[:0] = [*mended, *notes]
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
     try:
@@ -237,6 +238,7 @@ class _Builder:
             raise SpecError(f"{source.path}: has no solid: nothing of it touches the ground")
         robot = RobotSpec(
             name=_class_name(name, source),
+            # `with_measurements` fills these in below.
             dimensions=(0.0, 0.0, 0.0),
             mass=0.0,
             origin_height=0.0,
@@ -317,6 +319,7 @@ class _Builder:
             inertia = 1.0 / float(model.dof_invweight0[model.jnt_dofadr[joint]])
             speed = limit.speed if np.isfinite(limit.speed) else self._max_speed
             rolls = free and radius > 0 and name in aims
+            # A driven wheel has to move its share of the robot, not only itself.
             load = weight * radius**2 / wheels if rolls else borne.get(owner, 0.0)
             motor = motor_with_limits(inertia, limit.effort, speed, load)
             if not np.isfinite(motor.torque):
@@ -410,6 +413,7 @@ def _rolling_ahead(tree: BodyTree, parts: tuple[Part, ...], rolling: set[str]) -
 
 def _opposite(axis: tuple[float, float, float]) -> tuple[float, float, float]:
     x, y, z = axis
+    # Not -x: of 0.0 that makes -0.0.
     return (0.0 - x, 0.0 - y, 0.0 - z)
 
 
@@ -423,6 +427,7 @@ def _with_casters(robot: RobotSpec, source: RobotSource) -> RobotSpec:
             continue
         reach = shape.size[0] if shape.size else 0.0
         if shape.kind in ("sphere", "ellipsoid", "capsule", "cylinder"):
+            # z points down here: the lowest point has the largest one.
             if shape.at[2] + reach > ground - CASTER_GAP:
                 round_ones.add(i)
         elif height < DRAG_GAP:

@@ -85,6 +85,7 @@ def _motor(model: mujoco.MjModel, actuator: int, joint: int, max_speed: float) -
     dof = model.jnt_dofadr[joint]
     # MuJoCo's estimate at the initial pose, with all that the joint carries.
     inertia = 1.0 / float(model.dof_invweight0[dof])
+    # Beside a spring the damper belongs to that, see `BodyTree._spring`.
     drag = 0.0 if np.any(model.jnt_stiffness[joint]) else float(model.dof_damping[dof])
     stiffness, damping = float(bias[0]), float(bias[1]) + drag
     if kind == "velocity":
@@ -177,6 +178,7 @@ def read_mjcf_robot(path: Path) -> RobotSource:
         SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
     check_model_size(path)
+    # In the other process first: a file that crashes MuJoCo must not end this one.
     if wrong := try_model(path):
         raise SpecError(f"{path}: does not read: {wrong}")
     try:
@@ -211,6 +213,7 @@ def _free_chassis(root: Any, source: RobotSource) -> None:  # noqa: ANN401
     if held:
         names = [joint.name for joint in held]
         said = left_out(source.path, "joints between the world and the chassis, which is free,", held)
+        # First their actuators, which would not compile without them.
         _delete(
             source.spec, [one for one in source.spec.actuators if one.target in names], source, "actuators"
         )

@@ -343,6 +343,7 @@ class _SdfReader:
         for solid in collisions or visuals:
             touched = solid.tag == "collision"
             rgba: Rgba = (colours or [GREY])[0] if touched else colour_of(solid) or GREY
+            # Without a surface fixed solids get one by their form, see `surface_of`.
             surface = "" if touched and use == "fixed" else LOOSE_SURFACE if touched else FIXTURE
             like = Shape(kind="box", surface=surface, rgba=rgba)
             made += self._solids.of(solid, pose.then(found.within(solid)), like, use if touched else "seen")
@@ -426,6 +427,7 @@ class _SdfReader:
         found = light.first("diffuse")
         words = (found.text or "").split() if found is not None else ["1", "1", "1"]
         rgb = np.clip(numbers_of(found or light, " ".join(words[:3]), 3), 0.0, None)
+        # At 1 m, to which our brightness refers, the three terms simply add up.
         dimming = sum(light.number(f"attenuation/{key}", usual) for key, usual in ATTENUATION)
         brightness = float(rgb.max()) * light.number("intensity", 1.0) / max(dimming, 1e-3)
         if brightness <= 0:
@@ -503,6 +505,7 @@ def ground_under(shapes: Sequence[Shape], at: tuple[float, float, float], *, flo
         floor: Whether there is a floor at height 0.
     """
     x, y, z = at
+    # Few solids are compiled: all of a world would take long.
     near = [shape for shape in shapes if shape.surface != "fixture" and _covers(shape, x, y)]
     found = [0.0] if floor else []
     if near:

@@ -642,7 +642,9 @@ class _UrdfWriter:
         element = joint.element
         kind = element.get("type", "")
         low, high = joint.limits or (0.0, 0.0)
+        # URDF's reader holds floating joints, and says so.
         made_kind = MOVING.get(kind, "fixed" if kind == "fixed" else "floating")
+        # A revolute joint of URDF demands limits.
         if made_kind == "revolute" and joint.limits is None:
             made_kind = "continuous"
         made = _element("joint", element, name=joint.name, type=made_kind)
@@ -657,6 +659,7 @@ class _UrdfWriter:
         limits = {"lower": repr(low), "upper": repr(high)}
         for key in ("effort", "velocity"):
             value = element.number(f"axis/limit/{key}", -1.0)
+            # 0 in URDF is no limit, for which SDF has -1 or a huge number.
             limits[key] = repr(value if 0 < value < FREE_TURN else 0.0)
         made.append(_element("limit", element, **limits))
         damping, friction = (

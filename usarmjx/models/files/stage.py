@@ -424,6 +424,7 @@ class _StageReader:
         # Stage puts models on top of those that hold them by default.
         top = size[2] if model.number("stack_children", 1) else 0.0
         for child in model.children:
+            # Blocks are solids of this model: `_solids` has them.
             if child.word != "block":
                 self._add(child, pose.then(StagePose(z=top)))
 
@@ -507,6 +508,7 @@ class _StageReader:
         elif not model.number("boundary", 0):
             yield _box(like, -size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2, size[2])
         if model.number("boundary", 0):
+            # A quarter of the size at most: opposite walls must not meet.
             x, y, thick = size[0] / 2, size[1] / 2, min(BOUNDARY_THICKNESS, *(s / 4 for s in size[:2]))
             yield _box(like, -x, -x + thick, -y, y, size[2])
             yield _box(like, x - thick, x, -y, y, size[2])

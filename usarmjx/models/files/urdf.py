@@ -544,8 +544,10 @@ class _UrdfReader:
             float(attribute_numbers(limit, key, 1, "0")[0])
             for key in ("lower", "upper", "effort", "velocity")
         )
+        # Without limits the format has 0 for both.
         if kind != "continuous" and high > low:
             made.limited, made.range = True, (low, high)
+        # 0 is the format's default and states nothing.
         self._source.limits[made.name] = JointLimit(
             effort=effort if effort > 0 else np.inf, speed=speed if speed > 0 else np.inf
         )
@@ -577,6 +579,7 @@ class _UrdfReader:
         xx, yy, zz, xy, xz, yz = numbers
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         values, axes = np.linalg.eigh(frame.mat @ tensor @ frame.mat.T)
+        # eigh may return a left-handed frame, which is no rotation.
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         body.mass, body.ipos, body.iquat = mass, frame.pos, _quat(axes)
         body.inertia = self._balanced(values, mass, inertial, str(name))
@@ -600,6 +603,7 @@ class _UrdfReader:
                 f"{where.place}: link {name!r}: no body has the moments of inertia {shown}; the largest one "
                 "becomes the sum of the others"
             )
+        # A little less than the sum: rounding must not carry it beyond, where MuJoCo refuses it.
         values[2] = min(values[2], (values[0] + values[1]) * (1 - 1e-9))
         return values
 

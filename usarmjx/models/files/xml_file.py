@@ -364,6 +364,7 @@ def _product(element: LinedElement, key: str) -> float:
 def _numbers(text: str) -> Sequence[float]:
     """Return a text's numbers; those of memory may end in a letter; none if it has other words."""
     found: list[float] = []
+    # Attributes with limits have few numbers: long texts are not read through.
     for word in text.split()[:16]:
         scale = SUFFIXES.get(word[-1].upper(), 1)
         try:

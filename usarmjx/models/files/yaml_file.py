@@ -158,6 +158,7 @@ def _is_inertia(stated: BodyInertia) -> bool:
     if not np.isfinite(tensor).all():
         return False
     values = np.linalg.eigvalsh(tensor)
+    # A file's digits may exceed the sum a little: `set_inertia` mends that.
     return bool(values[0] > 0 and values[2] <= (values[0] + values[1]) * (1 + 1e-6))
 
 
@@ -603,6 +604,7 @@ def complete_arena(arena: ArenaSpec, content: Content, value: FileValue, given: 
     if "starts" not in given and content.starts:
         arena = replace(arena, starts=content.starts)
     elif "starts" not in given:
+        # Before the search, which needs finite lengths and a proper extent.
         if wrong := arena_problem(arena):
             raise value.error(wrong)
         try:
