@@ -57,6 +57,7 @@ def add_geom(
         SpecError: An unknown material; a fender that is no box; a mesh or terrain without its data.
     """
     _check(name, shape)
+    # Nothing touches the sky, whatever surface it has.
     surface = SURFACES["fixture" if shape.material == SKY else shape.surface]
     if shape.tyre is not None:
         surface = shape.tyre.on(surface)
@@ -166,6 +167,7 @@ def stated_inertia(stated: BodyInertia) -> Inertia:
 
 def described_inertia(found: Inertia) -> BodyInertia:
     """Return an inertia in MuJoCo's axes as a description's."""
+    # Plus 0.0: -0.0 becomes 0.0, or files would show its sign.
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (np.asarray(found.tensor) + 0.0).tolist()
     x, y, z = flip_vector(tuple((np.asarray(found.centre) + 0.0).tolist()))
     return BodyInertia(mass=float(found.mass), at=(x, y, z), moments=(xx, yy, zz, -xy, -xz, yz))
@@ -179,6 +181,7 @@ def arena_inertia(stated: BodyInertia) -> Inertia:
 
 def described_in_arena(found: Inertia) -> BodyInertia:
     """Return an inertia as that of a loose object's description."""
+    # Plus 0.0, as above.
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (np.asarray(found.tensor) + 0.0).tolist()
     x, y, z = (np.asarray(found.centre) + 0.0).tolist()
     return BodyInertia(mass=float(found.mass), at=(x, y, z), moments=(xx, yy, zz, xy, xz, yz))
@@ -204,7 +207,8 @@ def set_inertia(body: mujoco.MjsBody, stated: Inertia, shapes: Sequence[Shape]) 
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
-    moments[2] = min(moments[2], (moments[0] + moments[1]) / BALANCE)
+    # MuJoCo refuses a moment above the sum of the others, where rounding of a file may put the largest one.
+    moments[2] = min(moments[2], (moments[0] + moments[1]) * BALANCE)
     body.explicitinertial = True
     body.mass, body.ipos, body.iquat, body.inertia = whole.mass, whole.centre, quat, moments
 
