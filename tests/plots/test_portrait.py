@@ -7,7 +7,8 @@ import pytest
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.gallery import portrait, portraits
-from usarmjx.plots.render import CHECKER_RGB, SKY_RGB, render_geoms_of, render_picture
+from usarmjx.plots.render import render_geoms_of, render_picture
+from usarmjx.sensors.cameras.shading import CHECKER_RGB, SKY_RGB
 
 BALL = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="0 0 1"/>

@@ -79,6 +79,7 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
     fov = 2 * math.atan(width / height * math.tan(FOV_Y / 2))
     viewpoint = pinhole_viewpoint(eye, np.stack([forward, -right, up], -1), fov)
     looks = geom_colors_of(scene)
+    # Only light: C MuJoCo casts the rays at its own geoms.
     light = lit_scene(Geoms(blocks=(), kinds=(), materials=()), looks.appearance, DEFAULT_LIGHTING)
     sight = CCameraRays(scene.model, data, looks)
     return downsample(np.asarray(sight.render(light, viewpoint, 2 * width, 2 * height).rgb) / 255)

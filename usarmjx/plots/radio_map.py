@@ -88,8 +88,10 @@ def power_map(
     (x0, x1), (y0, y1) = arena.extent
     if step is None:
         step = max(MIN_STEP, max(x1 - x0, y1 - y0) / GRID_POINTS)
+    # So NaN is refused, too.
     if not step >= MIN_STEP:
         raise UsageError(f"the step of a map is {step}, allowed is {MIN_STEP} m and more")
+    # Half a step more, as rounding may drop the last point.
     x, y = (
         np.arange(x0 - MARGIN, x1 + MARGIN + step / 2, step),
         np.arange(y0 - MARGIN, y1 + MARGIN + step / 2, step),
@@ -150,6 +152,7 @@ def radio_picture(
             vmax=top,
             shading="nearest",
             zorder=1,
+            # Each point of the grid would be a path of its own.
             rasterized=True,
         )
         figure.colorbar(colours, ax=axes, label="received power [dBm]", shrink=0.85)

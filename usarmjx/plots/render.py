@@ -28,8 +28,6 @@ from usarmjx.sensors.cameras.paint import (
     transparencies,
 )
 from usarmjx.sensors.cameras.shading import (
-    CHECKER_RGB,
-    SKY_RGB,
     SUN_DIRECTION,
     RenderScene,
     no_headlights,
@@ -40,15 +38,6 @@ from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.sensors.rays.targets import Geoms, indices_by_key, make_geoms
 
-__all__ = [
-    "BOX",
-    "PLANE",
-    "RenderGeoms",
-    "box_geoms",
-    "render_geoms_of",
-    "victim_geoms",
-]
-
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
@@ -58,7 +47,7 @@ class RenderGeoms:
     """Visible geoms.
 
     Attributes:
-        kind: MuJoCo types, or those of `models.build.pieces` (n,).
+        kind: MuJoCo types, or those of `models.compile.ray_geoms` (n,).
         pos: Places [m] (n, 3).
         mat: Orientations (n, 3, 3).
         size: Size numbers [m] (n, 3).
@@ -208,8 +197,6 @@ def downsample(picture: np.ndarray) -> np.ndarray:
     return picture.reshape(rows // 2, 2, columns // 2, 2, 3).mean((1, 3))
 
 
-__all__ = ["CHECKER_RGB", "CHUNK", "DEFAULT_LIGHTING", "SKY_RGB", "Lighting", "render_picture"]
-
 CHUNK = 65_536
 """Rays that are cast together."""
 
@@ -236,7 +223,7 @@ DEFAULT_LIGHTING = Lighting()
 
 
 def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
-    """Return a rendered picture.
+    """Return the scene of a picture.
 
     Raises:
         UnsupportedGeomError: A kind that no kernel can hit.
@@ -303,6 +290,7 @@ def render_picture(
     room = ((0, -height % TILE), (0, -width % TILE), (0, 0))
     rays = to_tiles(np.pad(rows, room, mode="edge"))
     chunk = min(CHUNK, len(rays))
+    # Filled up: a last chunk of another size would be compiled by itself.
     padded = np.concatenate([rays, np.repeat(rays[-1:], -len(rays) % chunk, 0)])
     start = jnp.asarray(np.broadcast_to(np.asarray(eye, np.float32), (chunk, 3)))
     parts = map(jnp.asarray, padded.reshape(-1, chunk, 3))

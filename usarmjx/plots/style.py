@@ -5,7 +5,6 @@
 
 from collections.abc import Generator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +65,6 @@ def setting_name(key: str) -> str:
     return NAMES.get(key) or key.removeprefix("fields.").replace(".", ": ").replace("_", " ")
 
 
-@cache
 def check_figure(path: Path) -> None:
     """Refuse a file that is no figure.
 

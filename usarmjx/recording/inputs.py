@@ -40,6 +40,7 @@ def versions() -> dict[str, str]:
     for package in PACKAGES:
         try:
             found[package] = version(package)
+        # A source tree that is not installed has no version to read.
         except PackageNotFoundError:
             found[package] = "unknown"
     return found

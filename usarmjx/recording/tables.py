@@ -69,6 +69,7 @@ def _without(drawing: Drawing, slot: int) -> Drawing:
 
 
 def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iterator[TableRow]:
+    # Further digits are rounding errors of the sum of periods.
     time, world, content = round(message.time, 6), message.channel.world, message.value
     if table == "commands":
         for slot, order in getattr(content, "orders", {}).items():
@@ -143,6 +144,7 @@ def export_tables(recording: Recording, path: Path, tables: Sequence[str] = ()) 
     written: list[Path] = []
     for table in tables or COLUMNS:
         rows = rows_of(recording, table)
+        # A file is begun only for a table that has rows.
         first = next(rows, None)
         if first is None and not tables:
             continue
@@ -160,6 +162,7 @@ def _with_first(first: TableRow | None, rest: Iterator[TableRow]) -> Iterator[Ta
 
 
 def _write_csv(path: Path, columns: Sequence[str], rows: Iterator[TableRow]) -> None:
+    # `csv` writes the ends of lines itself.
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -174,6 +177,7 @@ def _parquet_writer() -> Any:  # noqa: ANN401 - a function like `_write_csv`
         raise UsageError("Parquet needs pyarrow: pip install pyarrow; or write .csv") from error
 
     def write(path: Path, columns: Sequence[str], rows: Iterator[TableRow]) -> None:
+        # Without rows there are no columns to turn them into.
         values = [*zip(*rows, strict=True)] or [() for _ in columns]
         table = pyarrow.table({name: [*column] for name, column in zip(columns, values, strict=True)})
         pyarrow.parquet.write_table(table, path)

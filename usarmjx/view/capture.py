@@ -134,11 +134,11 @@ class Capture:
             arena_pos, arena_mat, arena_shown = self._arena_poses(world, physics)
             pos, mat, shown = [arena_pos], [arena_mat], [arena_shown]
             for group, state in zip(scene.groups, world.groups, strict=True):
-                bodies = forward_kinematics(group.plan, robot_states(group, physics))
+                body = robot_states(group, physics)
+                bodies = forward_kinematics(group.plan, body)
                 pos.append(np.asarray(bodies.pos).reshape(-1, 3))
                 mat.append(np.asarray(bodies.mat).reshape(-1, 3, 3))
                 shown.append(np.repeat(np.asarray(state.active), len(group.plan.parts)))
-                body = robot_states(group, physics)
                 for member in np.flatnonzero(np.asarray(state.active)).tolist():
                     robots[int(group.slots[member])] = _robot_frame(group, member, body, state, clock)
                     overlays += _overlays(group, member, state)
@@ -149,6 +149,7 @@ class Capture:
             quat=np.asarray(turns, np.float32),
             shown=np.concatenate(shown),
             robots=robots,
+            # Rows behind the count are empty places of the table.
             dropped_tags=np.array(world.tags.pos[: int(world.tags.count)]),
             overlays=tuple(overlays),
             links=world.links,
@@ -208,7 +209,9 @@ class Capture:
         if scene.moved_geoms is None:
             return np.zeros(0, bool)
         if state is None:
+            # Of a single arena only the boxes that move are data.
             return np.ones(len(scene.moving_victim_boxes), bool)
+        # Data are the arena's solids, and the boxes of victims after them.
         return np.concatenate([np.zeros(len(state.pos), bool), np.asarray(state.victims.swing) > 0])
 
     def _arena_poses(self, world: World, physics: PhysicsState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -310,6 +313,7 @@ def _drawn_robot(group: RobotGroup, slot: int, name: str, body: int) -> DrawnRob
 
 def _drawn_sensor(sensor: Sensor, body: int) -> DrawnMount:
     n = len(sensor.plan.parts)
+    # With all bodies at the origin, poses in the world are those on the bodies.
     rest = BodyPoses(pos=np.zeros((n, 3), np.float32), mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)))
     pos, mat = sensor.mount_poses(rest)
     return DrawnMount(

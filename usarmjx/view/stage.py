@@ -159,6 +159,7 @@ class Stage:
         shown = np.concatenate([frame.shown for frame in frames])
         for batch in self._batches.values():
             batch.update(pos, quat, shown)
+        # A single world has no label.
         for label, cell, frame in zip(self._labels, self.cells, frames, strict=False):
             text = cell.name if frame.score is None else f"{cell.name}: {frame.score:.0f}"
             if text != label.text:

@@ -120,6 +120,7 @@ def picture_times(plan: FilmPlan, start: float, end: float) -> np.ndarray:
         raise UsageError(
             f"nothing from {plan.span[0]:g} to {plan.span[1]:g} s; the recording has {start:g} to {end:g} s"
         )
+    # A single moment is a picture, too.
     count = max(1, round((last - begin) * plan.rate / plan.speed))
     return begin + np.arange(count) * plan.speed / plan.rate
 

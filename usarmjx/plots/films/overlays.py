@@ -161,6 +161,7 @@ def _diamonds(points: np.ndarray, view: FilmView) -> np.ndarray:
 @lru_cache(maxsize=8)
 def _font(height: int, bold: bool) -> ImageFont.FreeTypeFont:
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    # Matplotlib brings this font; a system may have none.
     return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), height)
 
 
@@ -177,6 +178,7 @@ def write_captions(
         line: Text of the line; empty: none.
     """
     sheet = Image.fromarray(picture).convert("RGBA")
+    # On a sheet of its own: Pillow's pen replaces pixels, it does not mix them.
     plates = Image.new("RGBA", sheet.size, (0, 0, 0, 0))
     pen = ImageDraw.Draw(plates)
     small, large = (max(LEAST_TEXT, round(share * view.height)) for share in (NAME_SHARE, LINE_SHARE))

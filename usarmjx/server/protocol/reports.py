@@ -338,6 +338,7 @@ def sen_objects(time: float | None, name: str, objects: Iterable[tuple[str, Vect
     """
     segments: list[Segment] = [("Name", name)]
     for tag, location, rotation in objects:
+        # A name of several words would shift the numbers behind it.
         word = "_".join(tag.split()) or "_"
         pose = f"{two_decimals_list(location)} {two_decimals_list(rotation)}"
         segments.append(("Object", f"{word} {pose}"))

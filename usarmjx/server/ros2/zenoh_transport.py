@@ -167,6 +167,7 @@ class ZenohTransport:
             if query.payload is not None:
                 take(query.payload.to_bytes(), _reply_to(query, key))
 
+        # Clients of rmw_zenoh ask complete queryables only.
         made = self._session.declare_queryable(key, answer, complete=True)
         return ZenohEndpoint(self._keep(made, token))
 
@@ -231,6 +232,7 @@ def _reply_to(query: zenoh.Query, key: str) -> Reply:
 
     def reply(data: bytes) -> None:
         query.reply(key, data, attachment=attachment(sequence, time.time_ns(), client))
+        # A query ends when it is dropped: garbage collection may take long.
         query.drop()
 
     return reply

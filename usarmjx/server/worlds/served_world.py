@@ -198,6 +198,7 @@ class ServedWorld(ABC):
         Raises:
             UsageError: No robot can be built of that class.
         """
+        # Their caches keep the results: an INIT then finds them.
         for resolve in (suite_of, cameras_of, effecters_of):
             resolve(robot)
 

@@ -59,6 +59,7 @@ def quat_product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def quats_of(mats: np.ndarray) -> np.ndarray:
     """Return orientations (n, 3, 3), possibly none, as quaternions, w first (n, 4)."""
+    # SciPy takes no empty stack of matrices.
     whole = np.concatenate([np.eye(3)[None], mats])
     return Rotation.from_matrix(whole).as_quat(scalar_first=True)[1:]
 
@@ -68,6 +69,7 @@ def sensors_of(drawing: Drawing, family: type[Sensor]) -> list[DrawnSensor]:
     found: list[DrawnSensor] = []
     for slot, robot in drawing.robots.items():
         for index, mount in enumerate(robot.sensors):
+            # A recording may have sensors that are not registered here.
             kind = SENSORS.get(mount.kind) if mount.kind in SENSORS else Sensor
             if issubclass(kind, family):
                 found.append(DrawnSensor(slot, index, mount, settings_of(kind, mount)))
@@ -196,6 +198,7 @@ def view_lines(fov: np.ndarray) -> np.ndarray:
     Args:
         fov: Horizontal fields of view [rad] (cameras,).
     """
+    # Towards half a turn the tangent has no bound.
     wide = VIEW_LENGTH * np.tan(np.minimum(fov, 2.8) / 2)
     signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
     corners = np.stack(

@@ -267,6 +267,7 @@ class NameLayer(NodeLayer):
         """Move each label to its robot."""
         for slot, label in self._labels.items():
             robot, before = frame.robots.get(slot), self._above.get(slot)
+            # Only changes: each assignment is a message to all browsers.
             if (robot is None) != (before is None):
                 label.visible = robot is not None
             if robot is None:
