@@ -217,6 +217,7 @@ def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
         if low:
             builder.shapes += void(at, toward, length, roof)
         if low or posture == "lying":
+            # Bodies fit under the slab lengthwise: towards the way in, those that lie also away from it.
             facing = (toward + 2 * (facing % 2) * (posture == "lying")) % 4
         add_victim(builder, at, facing, posture, "in a void" if low else "in the open")
 
@@ -261,6 +262,7 @@ def place_clutter(builder: ArenaBuilder, free: list[Cell]) -> None:
     spots = [_spot(builder, cell, draw) for cell in cells]
     for i in range(min(round(clutter * builder.max_count("loose")), len(cells))):
         form = tuple(FORMS)[i % len(FORMS)]
+        # A brick alone is short enough for a corner without a strip.
         spot = next((spot for spot in spots if spot.strip or form == "Brick"), None)
         if spot is None:
             continue

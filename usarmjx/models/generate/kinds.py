@@ -89,6 +89,7 @@ def _thin(
     """
     ways = plan.tree
     closed = [(a, b) for a, b in plan.edges() if b not in ways.get(a, ())]
+    # Barred cells are closed off at any density of walls.
     fixed = [(a, b) for a, b in closed if (a in barred) != (b in barred)]
     closed = [(a, b) for a, b in closed if a not in barred and b not in barred]
     ends = draw.shuffled([cell for cell in ways if len(ways[cell]) == 1])
@@ -96,6 +97,7 @@ def _thin(
     for rank, cell in enumerate(ends):
         sides = [n for n in plan.around(cell) if n not in ways[cell] and n in ways]
         if sides:
+            # Drawn for each end, whether it opens or not: the draws of all others stay the same.
             side = draw.choice(sides)
             if rank >= round(difficulty.dead_ends * len(ends)):
                 opened.add(edge(cell, side))
@@ -115,9 +117,11 @@ def building(plan: CellGrid, draw: RandomStream, difficulty: Difficulty) -> None
     walls = _partitions(plan, draw)
     keep = wall_count(25, 100, difficulty.wall_density, len(walls))
     ranks = draw.shuffled(range(len(walls)))
+    # There is a rank for every wall, also for those that are not kept.
     for wall, rank in zip(walls[:keep], ranks, strict=False):
         plan.walls.update(wall)
         doors = draw.shuffled(wall)
+        # A second doorway makes a loop: the more dead ends are wanted, the fewer walls have one.
         both = len(doors) > 2 and rank >= round(difficulty.dead_ends * len(walls))
         plan.walls.difference_update(doors[: 1 + both])
     plan.grow_tree(draw, bushy=True)

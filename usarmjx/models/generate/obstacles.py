@@ -149,6 +149,7 @@ def collapsed(draw: RandomStream, at: Position2D, roughness: float) -> list[Shap
     slab = slope(at, 0.8, 1.0, angle, uphill, CONCRETE)
     # The block fits just below the slab's lower face.
     ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
+    # The near side of the block is 0.7 m from the slab's lower edge.
     prop = max(0.02, 0.7 * math.tan(angle) - DECK / math.cos(angle))
     spots = [(at[0] + d * ahead[0], at[1] + d * ahead[1]) for d in (0.35, -0.47)]
     flat = [(0.1, 0.6, prop), (0.1, 0.4, lerp(0.05, 0.25, roughness) * draw.randint_between(50, 100) / 100)]

@@ -135,6 +135,7 @@ class CellGrid:
 def _runs(filled: list[bool]) -> Iterator[tuple[int, int]]:
     """Yield (start, stop) of runs of true cells, none longer than `MAX_WALL_CELLS`."""
     start = None
+    # The appended False ends a run at the border.
     for i, wall in enumerate([*filled, False]):
         if start is not None and (not wall or i - start == MAX_WALL_CELLS):
             yield start, i

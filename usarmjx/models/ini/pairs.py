@@ -331,6 +331,7 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
         load=load * GRAVITY * float(np.dot(upright, UP)),
     )
     tyre = wheel(pair.name, at=pair.at, size=(radius, width), mass=mass, motor=motor, parent=pair.parent)
+    # A model's looks fit its own size only.
     if model and tyre.shapes[0].size == model.shapes[0].size:
         tyre = replace(tyre, looks=model.looks)
     tyre = replace(tyre, rotation=leaning(spin_axis(pair)))
@@ -397,6 +398,7 @@ def _hinge_part(pair: JointPair) -> Part:
     line, struct = pair.line, pair.struct
     if struct.get("Size") is None:
         fail(line, f"{key_text(line)} has no Size", "Size=(X=length,Y=width,Z=height) of the part's box")
+    # Without their signs: the conversion of units turns z over.
     x, y, z = (abs(edge) / 2 for edge in pair.units.position(vector_of(line, struct, "Size")))
     mass = number_of(line, struct, "Mass", PART_MASS, above=0.0)
     if min(x, y, z) == 0:
@@ -560,6 +562,7 @@ def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
     if motor is not None:
         if fields.get("MaxSpeed") is not None:
             motor = replace(motor, max_speed=speed)
+        # MaxTorque is in the original's units: the motor's own follows in proportion.
         motor = replace(motor, torque=motor.torque * torque / before.max_torque)
     return Link(
         number=link.number,

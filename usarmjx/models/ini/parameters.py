@@ -360,6 +360,7 @@ def _set_length(
 def _is_set(robot: RobotSpec, key: str, value: float) -> bool:
     """Return whether a key has its value already, rather than no effect at any value."""
     if key in SETTERS:
+        # Tried with another value than the present one.
         return SETTERS[key][1](robot, value * 1.5 + 0.1) != robot
     return LENGTHS[key](robot, value + 1.0, 1.0) != robot
 
@@ -418,6 +419,7 @@ def _travel(robot: RobotSpec, limit: float, *, upper: bool) -> RobotSpec:
 
     def changed(part: Part) -> Part:
         low, high = part.limits or DEFAULT_SUSPENSION_TRAVEL
+        # A joint that runs downwards has its upward travel at the low end.
         if np.dot(part.axis, UP) > 0:
             return replace(part, limits=(low, limit) if upper else (limit, high))
         return replace(part, limits=(-limit, high) if upper else (low, -limit))

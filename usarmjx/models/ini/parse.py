@@ -478,6 +478,7 @@ class _Blocks:
     def remove(self, order: Line, *, everything: bool) -> None:
         """Remove the lines that a `-` or a `!` line names, from every block of its section."""
         by_index = self._positions.get(self._key(order), {})
+        # Popped: no later line removes them once more.
         if everything:
             indices = list(by_index) if order.index is None else [order.index]
             found = [rows for index in indices for rows in by_index.pop(index, {}).values()]
@@ -485,6 +486,7 @@ class _Blocks:
             found = [by_index.get(order.index, {}).pop(repr(order.value), [])]
         removed = [one for rows in found for one in rows]
         for block, row in removed:
+            # Emptied and not deleted: the positions of other lines stay valid.
             self._blocks[block][1][row] = None
         removal = Removal(order, clears=everything, count=len(removed))
         self._removals.setdefault(len(self._blocks) - 1, []).append(removal)
@@ -517,6 +519,7 @@ class Units:
         if not self.by_uu:
             return vector
         x, y, z = (value / self.uu_per_metre for value in vector)
+        # Not -z, which makes -0.0 of 0.
         return (x, y, 0.0 - z)
 
     def angles(self, vector: Vec3) -> Vec3:

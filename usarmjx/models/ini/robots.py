@@ -149,6 +149,7 @@ class _Translation:
         sections = [part for section in self._file.sections if (part := self._section(section)) is not None]
         # A class of the file's own needs a base: here the later versions' class of the same name.
         for name, line in self._derived.items():
+            # At the section's line, to which messages point.
             base = replace(line, key="BaseClass", value=name, adds=False, index=None)
             sections.append(Section(f"USARBot.{name}", (base,)))
         for name, (line, count) in self._left_out.items():
@@ -253,6 +254,7 @@ def _battery_life(file: IniFile) -> Line | None:
     if not lines:
         return None
     figures = {key: as_number(line, line.value, line.key, above=0.0) for key, line in lines.items()}
+    # In the order of BATTERY_FIGURES, which an update keeps.
     full, present, life = (BATTERY_FIGURES | figures).values()
     *_, last = lines.values()
     return replace(last, key="batteryLife", value=life * min(present / full, 1.0), adds=False, index=None)

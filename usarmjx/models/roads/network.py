@@ -53,6 +53,7 @@ def to_lat_lon(
         at: The point.
         scales: Metres per degree of latitude and of longitude; negative ones reverse the axis.
     """
+    # x points north and y left of it, to the west.
     return origin[0] + at[0] / scales[0], origin[1] - at[1] / scales[1]
 
 

@@ -98,6 +98,7 @@ def offset_path(path: np.ndarray, left: float) -> np.ndarray:
     """Return the line at a distance to the left of a path, negative: to its right [m] (points, 2)."""
     along = np.diff(path, axis=0)
     lengths = np.linalg.norm(along, axis=1, keepdims=True)
+    # A repeated waypoint has no direction.
     along /= np.where(lengths > 0, lengths, 1.0)
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     before, after = np.vstack([normal[:1], normal]), np.vstack([normal, normal[-1:]])
@@ -137,6 +138,7 @@ def _boundary(run: np.ndarray, edge: float, kind: str) -> Iterator[Shape]:
         path = offset_path(run, edge + inwards * LINE_WIDTH / 4)
         yield from (stripe(a, b, LINE_WIDTH / 2, rgba) for a, b in _dashes(path))
     elif kind:
+        # The two lines of a double one, painted by both lanes, then lie a line's width apart.
         path = offset_path(run, edge + inwards * LINE_WIDTH * (1.0 if kind.startswith("double") else 0.5))
         yield from (stripe(a, b, LINE_WIDTH, rgba) for a, b in _pieces(path))
 
@@ -160,6 +162,7 @@ def _kerb(run: np.ndarray, edge: float) -> Iterator[Shape]:
 
 
 def _stop_lines(lane: Lane, origin: LatLon) -> Iterator[Shape]:
+    # From line to line, not over them.
     path, half = lane_path(lane, origin), lane_width(lane) / 2 - LINE_WIDTH
     if len(path) > 1:
         across = offset_path(path, half) - path
