@@ -1,6 +1,7 @@
 """Steps of engine `warp` on a CPU, replayed from recordings; oracle: the same launches, one by one."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ pytest.importorskip("warp", reason="needs warp-lang")
 import warp
 
 from tests.engines.test_block import MECHANISM
+from usarmjx.engines import mjx_warp
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import MOST_RECORDINGS, LaunchReplay, WarpEngine
 from usarmjx.models.compile.physics import Physics
@@ -181,6 +183,28 @@ def test_replayed_steps_have_the_bits_of_plain_ones(physics, cone, monkeypatch):
     monkeypatch.setattr(LaunchReplay, "run", plain)
     launched = steps_of(physics, cone)
     assert calls == [physics.substeps] * (STEPS // physics.substeps), "the engine steps through it"
+    for one, other in zip(replayed, launched, strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("solver", ["CG", "block"])
+def test_steps_as_on_a_gpu_have_the_bits_of_replayed_ones(solver, monkeypatch):
+    """There Warp's callback launches all steps itself: from tracing on, this process says so to it."""
+    physics = replace(Physics(), solver=solver)
+    replayed, asked = steps_of(physics, "elliptic"), []
+
+    def is_gpu():
+        asked.append(True)
+        return "gpu"
+
+    def not_replayed(self, model, data, count):
+        raise AssertionError("replayed")
+
+    monkeypatch.setattr(LaunchReplay, "run", not_replayed)
+    monkeypatch.setattr(mjx_warp, "jax", SimpleNamespace(**vars(jax) | {"default_backend": is_gpu}))
+    launched = steps_of(physics, "elliptic")
+    assert asked
     for one, other in zip(replayed, launched, strict=True):
         for a, b in zip(one, other, strict=True):
             np.testing.assert_array_equal(a, b)

@@ -73,6 +73,19 @@ def test_modules_of_launches_are_listed_longest_first_and_nothing_is_launched():
     assert data.numpy().tolist() == [1.0] * 3
 
 
+def test_a_kernel_that_is_asked_for_a_block_size_is_not_loaded():
+    """On a GPU that needs the loaded kernel; MuJoCo Warp asks three of its kernels."""
+    size, usual = [], warp.get_suggested_block_size
+
+    def run():
+        size.append(warp.get_suggested_block_size(add_much, warp.get_device("cpu")))
+
+    (found,) = modules_of(run)
+    assert found == (add_much.module, add_much.module.options["block_dim"])
+    assert size == [(found.block_dim, 1)]
+    assert warp.get_suggested_block_size is usual
+
+
 def test_launches_of_other_threads_go_on():
     data, inside, done = warp.zeros(3, dtype=float, device="cpu"), Event(), Event()
 

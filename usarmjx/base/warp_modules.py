@@ -75,11 +75,18 @@ def _recorded_loads() -> Generator[dict[WarpModule, None]]:
             if branch is not None:
                 branch(**given)
 
+    # The numbers of blocks of some launches come from it; it would need the loaded kernel.
+    def suggest(kernel: Any, device: Any = None) -> tuple[int, int]:  # noqa: ANN401 - Warp's
+        record(kernel.module, device)
+        return kernel.module.options["block_dim"], 1
+
     # A launch without a loaded module does nothing. Warp has no public place for it; its version is pinned.
     module = import_module("warp._src.context").Module
     with (
         _replaced(module, load=record),
-        _replaced(import_module("warp"), capture_while=once, capture_if=both),
+        _replaced(
+            import_module("warp"), capture_while=once, capture_if=both, get_suggested_block_size=suggest
+        ),
     ):
         yield asked
 

@@ -294,15 +294,16 @@ def multi_step(count: int, one_step: Callable[[Any, Any], None] | None) -> Calla
     """
     check_mjx_version()
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
-    step = one_step or forward.mjwarp.step
-    replay = LaunchReplay(step)
+    # Not `step`, which is the function of JAX below: a GPU would call that from within itself.
+    physics_step = one_step or forward.mjwarp.step
+    replay = LaunchReplay(physics_step)
 
     def run_kernels(model: object, data: object) -> None:
         if jax.default_backend() == "cpu":
             replay.run(model, data, count)
             return
         for _ in range(count):
-            step(model, data)
+            physics_step(model, data)
 
     shim = with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
     call = with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
