@@ -89,6 +89,7 @@ class VariedModel:
             tables = [self._derived(factor) for factor in np.linspace(*vary.mass, MASS_KNOTS)]
             self._tables = {name: np.stack([t[name] for t in tables]) for name in self._mass_names}
         joints = model.jnt_bodyid
+        # Torque varies by its limit, which only some joints have.
         self._joint_owner = np.where(model.jnt_actfrclimited != 0, bodies.owner[joints], -1)
 
     def _derived(self, factor: float) -> dict[str, np.ndarray]:
@@ -150,6 +151,8 @@ class VariedModel:
         fields: dict[str, jax.Array] = {}
         for name, table in self._tables.items():
             owner = self._bodies.owner if name in BODY_FIELDS else dof_owner
+            # Bodies without an owner are put at the first knot, within the table; `original` replaces their
+            # values.
             place = (_of(mass, owner, low) - low) / step
             # At the upper end of the range `floor` gives the last knot, which has no neighbour above.
             below = jnp.clip(jnp.floor(place), 0, MASS_KNOTS - 2).astype(jnp.int32)
@@ -375,6 +378,7 @@ def _pairs(model: mujoco.MjModel, others: tuple[int, ...]) -> list[tuple[int, in
         meets = (model.geom_contype[a] & model.geom_conaffinity[collides]) | (
             model.geom_conaffinity[a] & model.geom_contype[collides]
         )
+        # Geoms of one body never collide.
         other_body = model.geom_bodyid[collides] != model.geom_bodyid[a]
         for b in collides[(meets != 0) & other_body]:
             if model.geom_type[b] in others:

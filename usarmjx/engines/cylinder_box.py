@@ -172,6 +172,7 @@ def _bottom(pair: _Pair, n: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array,
 def _on_face(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Contacts on the face with normal n: gaps [m] (CONTACTS,), positions [m] (CONTACTS, 3)."""
     slope, disc, steepest, tilt = _bottom(pair, n)
+    # n is an axis of the box, up to its sign: rolled, it gives the other two.
     u, v = jnp.roll(jnp.abs(n), 1), jnp.roll(jnp.abs(n), 2)
 
     def clip(
@@ -193,6 +194,7 @@ def _on_face(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
     steepest = jnp.where(flat, tangent, steepest)
     rim = disc + pair.radius * steepest
 
+    # Lying on the face a cylinder touches it along a generator, standing with a disc.
     lying = jnp.abs(slope) < 0.5
     along = jnp.where(lying, _sign(slope) * pair.axis, -steepest)
     length = 2 * jnp.where(lying, pair.half, pair.radius)
@@ -234,6 +236,7 @@ def _depth(pair: _Pair, points: jax.Array, n: jax.Array) -> jax.Array:
 
 def _on_edge(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Contacts of the box edge or corner deepest along n: gaps (CONTACTS,), positions as above."""
+    # The edge runs along the axis most perpendicular to n.
     order = jnp.argsort(jnp.abs(n))
     edge, inward = jnp.eye(3)[order[0]], jnp.eye(3)[order[1]]
     corner = _sign(n) * pair.box

@@ -173,6 +173,7 @@ class SleepState:
 
     def moved(self, pinned: Array, qpos: Array, before: Array) -> jax.Array:
         """Return which objects are teleported (worlds, objects); masks and qpos as in `Inputs`."""
+        # Pinned coordinates that keep their values are held, which is no teleport.
         return (jnp.asarray(pinned) & (qpos != before))[:, self.qposadr].any(-1)
 
     def _look_ahead(self, qvel: jax.Array) -> jax.Array:

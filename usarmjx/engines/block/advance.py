@@ -58,6 +58,7 @@ LOAD_CODE = """
         }
         const float* const poly = MODEL(dof_dampingpoly) + 2 * (start + i);
         const float v = qvel[i], size = v < 0.0f ? -v : v;
+        // The derivative of the damping force, whose terms are in v, v |v| and v^3.
         const float more = 2.0f * poly[0] * size + 3.0f * poly[1] * size * size;
         factor[i][i] += step * (MODEL(dof_damping)[start + i] + more);
     }
@@ -98,6 +99,7 @@ MOVE_CODE = """
         float time = step;
         if (row[2] == DYN_FILTEREXACT) {
             const float tau = wp::max(MODEL(actuator_dynprm)[10 * row[0]], TINY);
+            // The exact solution as one step of another length, since `act_dot` is the difference over tau.
             time = tau * (1.0f - wp::exp(-step / tau));
         }
         float value = DATA(act)[row[1]] + DATA(act_dot)[row[1]] * time;
@@ -151,6 +153,7 @@ def advance_kernel(size: int) -> Any:  # noqa: ANN401 - Warp's kernels have no t
 
     def advance_one(p: Any, index: int) -> None: ...  # noqa: ANN401
 
+    # Warp reads annotations, and the struct's type is made at its first use.
     advance_one.__annotations__["p"] = problem_type()
     native = warp.func_native(code_of(size))(advance_one)
 

@@ -118,9 +118,11 @@ SORT_CODE = """
                 }
             }
         }
+        // 12 bits for each tree, the rest for the count.
         if (high >= 0) label[r] = low | high << 12 | count << 24;
     }
     wait();
+    // Each constraint lowers both of its trees to the lesser of their islands, until none changes any more.
     bool changed = true;
     while (any(changed)) {
         changed = false;

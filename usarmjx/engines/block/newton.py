@@ -107,6 +107,8 @@ UNIT_CODE = """
                 square += part * part;
             }
             const float slip = sqrt(square);
+            // MuJoCo's zones of a cone: above it no force, in its dual below a quadratic cost, sliding
+            // between them.
             const bool open = normal >= mu * slip, stuck = !open && mu * normal + slip <= 0.0f;
             if (open || stuck) {
                 for (int j = 0, k = 0; j < dim; ++j) {
@@ -115,6 +117,7 @@ UNIT_CODE = """
                 }
                 return;
             }
+            // MuJoCo's Dm: weight of the distance from the cone.
             const float stiff = weight[r] / (mu * mu * (1.0f + mu * mu));
             const float gap = normal - mu * slip, along = 1.0f / max(slip, TINY);
             f[r] = -stiff * gap * mu;
@@ -342,6 +345,7 @@ NEWTON_CODE = """
             // Hessian, two columns by two rows at a time; its last row is the negative gradient.
             for (int i = lane; i < n; i += lanes) last[i] = descent(i);
             for (int tile = lane; tile < tiles * (tiles + 1) / 2; tile += lanes) {
+                // A tile's row by the root of the triangular number, which rounding may put one off.
                 int high = (int)((sqrt(8.0f * (float)tile + 1.0f) - 1.0f) * 0.5f);
                 while (high * (high + 1) / 2 > tile) --high;
                 while ((high + 1) * (high + 2) / 2 <= tile) ++high;
@@ -379,6 +383,7 @@ NEWTON_CODE = """
             for (int k = 0; k < n; ++k) {
                 const float* const pivot = factor + at(k, 0);
                 float diagonal = pivot[k];
+                // Roundings may leave nothing, or less, of a large diagonal.
                 const float least = 1e-7f * diagonal;
                 for (int j = 0; j < k; ++j) diagonal -= pivot[j] * pivot[j];
                 const float scale = 1.0f / sqrt(max(diagonal, least));
@@ -426,6 +431,7 @@ NEWTON_CODE = """
                     if (abs(first) <= SLOPE_TOLERANCE * fall) break;
                     if (first < 0.0f) low = alpha; else high = alpha;
                     alpha -= first / second;
+                    // A Newton step that leaves the bracket is halved; without an upper end the step doubles.
                     if (high >= 0.0f && !(alpha > low && alpha < high)) alpha = 0.5f * (low + high);
                     else if (!(alpha > low)) alpha = 2.0f * low;
                 }

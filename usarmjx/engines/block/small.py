@@ -215,6 +215,8 @@ ELIMINATION_CODE = """
             for (int o = 0; o < own; ++o) {
                 least[o] = 0.0f;
                 UNROLL
+                // Bounds and indices that are known to the compiler: others would put the rows out of
+                // registers.
                 for (int k = o * lanes; k < (o + 1) * lanes && k < DOFS; ++k)
                     if (lane == k - o * lanes) least[o] = 1e-7f * hess[o][k];
             }

@@ -115,6 +115,7 @@ def why_not(model: mujoco.MjModel) -> str | None:
         ),
     }
     found = next((name for name, present in uncovered.items() if present), None)
+    # Chunks of one subtree each are the smallest: a subtree is never split between blocks.
     if found is None and numbers_of(make_tables(model, 0), THREADS) > MOST_NUMBERS:
         return "a subtree of too many bodies"
     return found
@@ -254,6 +255,7 @@ def numbers_of(tables: Tables, threads: int) -> int:
     """Return the numbers of memory that the largest chunk needs; the layout is that of `SETUP_CODE`."""
     size = (tables.chunk[:, 1::2] - tables.chunk[:, ::2]).T
     slots, joints, dofs, actuators = size[0] + 1, size[1], size[2], size[5]
+    # Scratch memory of warps lies where inertias are written later: the larger of both counts.
     poses = 7 * slots + 6 * joints + dofs + actuators + 12 * slots
     return int((poses + np.maximum(20 * slots + 12 * dofs, 9 * threads)).max())
 
@@ -289,6 +291,7 @@ def smooth_kernel(capacity: int, threads: int) -> Any:  # noqa: ANN401 - Warp's 
 
     def solve_chunk(p: Any, index: int) -> None: ...  # noqa: ANN401
 
+    # As in `advance`: Warp reads annotations, and the struct's type is made at its first use.
     solve_chunk.__annotations__["p"] = problem_type()
     native = warp.func_native(smooth_code_of(capacity, threads))(solve_chunk)
 
@@ -392,6 +395,7 @@ def stages(
         # Here at the latest: the solver starts from these accelerations.
         branches_of(d.qpos.device).join()
 
+    # All of it has happened in `fwd_position`.
     def done(m: Any, d: Any) -> None:  # noqa: ANN401
         del m, d
 

@@ -309,6 +309,7 @@ INERTIA_CODE = """
             put(to + 3, cross(way, arm));
         } else {
             if (type == FREE) {
+                // Translations of a free joint are along the world's axes: three rows of the identity.
                 for (int n = 0; n < 18; ++n) to[n] = n == 3 || n == 10 || n == 17 ? 1.0f : 0.0f;
                 to += 18;
             }
@@ -323,6 +324,7 @@ INERTIA_CODE = """
     }
     wait();
     copy(DATA(cdof) + 6 * v0, cdof, 6 * nv);
+    // Each body with all that hangs on it, as the mass matrix needs it (composite rigid bodies).
     gather(composite, 10);
     for (int k = lane; k < nv; k += lanes)
         inert(turn + 6 * k, composite + 10 * slot(p.dof.data[(v0 + k) * DOF_NUMBERS]), cdof + 6 * k);
@@ -342,6 +344,7 @@ VELOCITY_CODE = """
         const float* const pull = MODEL(gravity);
         for (int n = 0; n < 6; ++n) {
             vel[n] = 0.0f;
+            // The world accelerates against gravity, which gives every body its weight.
             force[n] = n >= 3 && p.weight != 0 ? -pull[n - 3] : 0.0f;
         }
     }
@@ -365,6 +368,7 @@ VELOCITY_CODE = """
             const int type = p.joint.data[j * JOINT_NUMBERS];
             int d = p.joint.data[j * JOINT_NUMBERS + 3] - v0;
             if (type == FREE) {
+                // Axes of translation do not turn.
                 for (int n = 0; n < 18; ++n) turn[6 * d + n] = 0.0f;
                 for (int n = 0; n < 3; ++n) v[3 + n] += speed[d + n];
                 d += 3;

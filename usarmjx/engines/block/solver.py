@@ -175,6 +175,7 @@ def islands_kernel(classes: tuple[SizeClass, ...]) -> Any:  # noqa: ANN401 - as 
 
     def sort_world(p: Any, index: int) -> None: ...  # noqa: ANN401 - as above
 
+    # The struct's type is made at its first use.
     sort_world.__annotations__["p"] = problem_type()
     native = warp.func_native(islands_code(classes))(sort_world)
 
@@ -234,6 +235,7 @@ def make_problem(m: Any, d: Any) -> Any:  # noqa: ANN401 - as above
     # Counted up by atomics from zero.
     p.counts = warp.zeros(len(CLASSES), dtype=int)
     p.worlds, p.trees, p.dofs, p.most_rows = d.nworld, m.ntree, m.nv, d.njmax
+    # The last axis of J: all values of a world if sparse, the columns of a row if not.
     p.most_values = p.padded_dofs = efc.J.shape[-1]
     p.most_addresses, p.padded_rows = contact.efc_address.shape[-1], efc.D.shape[-1]
     p.masses, p.impedances, p.sparse = d.M.shape[-1], p.impedance.shape[0], int(m.is_sparse)

@@ -104,6 +104,7 @@ def solve_kernel(size: int) -> Any:  # noqa: ANN401 - Warp's kernels have no typ
         index: int,
     ) -> None: ...
 
+    # Warp's types are values made above, which annotations cannot name.
     solve_one.__annotations__.update(kinds)
     native = warp.func_native(expand_macros(CODE, {"SIZE": size}))(solve_one)
 

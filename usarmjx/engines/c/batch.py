@@ -83,6 +83,7 @@ class MovedBody:
             world: The world, whose hierarchy is kept for its next call.
         """
         model.geom_pos[self.ids], model.geom_quat[self.ids] = pos, quat
+        # Geoms with sizes of their own are boxes, whose half lengths are those of the bounding box, too.
         if size is not None:
             model.geom_size[self.ids], model.geom_aabb[self.ids, 3:] = size, size
             model.geom_rbound[self.ids] = np.linalg.norm(size, axis=-1)

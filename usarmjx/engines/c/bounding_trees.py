@@ -63,6 +63,7 @@ def tree_shape(boxes: np.ndarray) -> TreeShape:
         single = np.repeat(parts == 1, parts)
         leaf[order[single]] = numbers[parts == 1]
         order, sizes, nodes = order[~single], parts[parts > 1], numbers[parts > 1]
+    # Deepest level first: a node's box comes after its children's.
     return TreeShape(children, leaf, depth, tuple(reversed(merges)))
 
 
@@ -87,6 +88,7 @@ def _split(boxes: np.ndarray, order: np.ndarray, sizes: np.ndarray) -> tuple[np.
         other = (np.maximum.accumulate((high - apart)[::-1]) - np.minimum.accumulate((low + apart)[::-1]))[
             ::-1
         ] + 2 * apart
+        # The last place of each node stays infinite: it would leave the second part empty.
         cost = np.full(len(order), np.inf)
         splits = np.flatnonzero(after)
         cost[splits] = (one[splits] + REACH).prod(1) * before[splits]

@@ -124,6 +124,7 @@ class CameraTarget:
     ) -> None:
         self._caster, self._centre, self._radius, self._first, self.slot = caster, centre, radius, first, slot
         self._middle = (centre.min(0) + centre.max(0))[None] / 2
+        # Infinite with a plane, which has no bound: such a target is in every bundle's way.
         self._ball = (np.linalg.norm(centre - self._middle, axis=-1) + radius).max(keepdims=True)
 
     def keep_closer(
@@ -153,6 +154,7 @@ class CameraTarget:
         for number in np.flatnonzero(shown.any(1)).tolist():
             rays = slice(bundles.bounds[number], bundles.bounds[number + 1])
             start = np.broadcast_to(bundles.start, along[rays].shape)
+            # What the cone misses is hidden, too: MuJoCo then looks at few geoms per ray.
             found = self._caster.hit_geoms(start, along[rays], query, np.flatnonzero(~shown[number]))
             self._keep(rays, found, hits)
 
@@ -180,6 +182,7 @@ class CameraTarget:
     ) -> None:
         """Write hits that are closer than the previous ones."""
         better = found[0] < hits[0][rays]
+        # `rays` is a slice or an array: either way these are places in the arrays of all rays.
         places = np.arange(len(hits[0]))[rays][better]
         for column, own in zip(hits, found, strict=True):
             column[places] = own[better]
@@ -218,6 +221,7 @@ class CCameraRays:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, looks: GeomColors) -> None:
         # A copy: the world goes on, and casting changes the groups of geoms.
         self.model, self.looks = model.__copy__(), looks
+        # All that `mj_kinematics` reads.
         self._places = {name: getattr(data, name).copy() for name in ("qpos", "mocap_pos", "mocap_quat")}
 
     @cached_property
@@ -265,8 +269,10 @@ class CCameraRays:
             slot: Slot of the camera's robot, or any other number ().
             hidden_geoms: Geoms of that robot hidden from the camera; see `picture.Viewpoint` (geoms,).
         """
+        # A camera of no robot hides nothing, though victims' figures have that slot, too.
         figures = [one.figure for one in self.looks.figures if one.slot == slot != NO_ROBOT]
         geom_of = figures[0].geom_of if figures else NO_GEOMS
+        # Masks are padded to a whole multiple, see `Viewpoint`.
         hidden = np.unique(geom_of[np.asarray(hidden_geoms)[: len(geom_of)]])
         return CameraCaster(self, int(slot), hidden)
 
@@ -301,15 +307,16 @@ class CameraCaster:
         """Cast the camera's own rays (rays, 3), which pass the geoms that cover the lens."""
         start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
         distance, geom, normal = self._meet(start, along, query)
+        # Water is glass, which rays in search of solids pass.
         water = self._looks.water
         if GLASS in query.transparent or not len(water.owner):
             return RayHits(distance, geom, normal)
         reach, which, its_normal = nearest_in_block(BOX_GEOM, water, start, along)
-        keep_closer = reach < distance
+        closer = reach < distance
         return RayHits(
-            distance=np.where(keep_closer, reach, distance).astype(np.float32),
-            geom_index=np.where(keep_closer, len(self._looks.materials) + which, geom),
-            normal=np.where(keep_closer[:, None], _towards(its_normal, along), normal),
+            distance=np.where(closer, reach, distance).astype(np.float32),
+            geom_index=np.where(closer, len(self._looks.materials) + which, geom),
+            normal=np.where(closer[:, None], _towards(its_normal, along), normal),
         )
 
     def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
@@ -341,7 +348,9 @@ class CameraCaster:
             distance = np.sqrt((way * way).sum(-1))
             along, query = way / distance[:, None], SOLID_QUERY.replace(incidence=False)
             bundles, hits = ConeBundles.of(light, along), _no_hits(len(rays))
+            # Only what is nearer to the light than the surface shades it.
             hits[0][:] = distance
+            # A headlight sits in or on its robot, which would keep all of its light.
             for target in (self._world, *self._figures):
                 if own == NO_ROBOT or target.slot != own:
                     target.keep_closer(bundles, along, query, NO_GEOMS, hits)
@@ -365,6 +374,7 @@ class CameraCaster:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distances (rays,), geoms (rays,) and normals towards the ray origins (rays, 3)."""
         query, hits = query.replace(incidence=True), _no_hits(len(start))
+        # Nothing in the model stops rays that pass all of its materials.
         targets = [self._world] if set(self._looks.materials) - query.transparent else []
         targets += self._figures if OPAQUE not in query.transparent else []
         turns = (

@@ -130,6 +130,7 @@ def step_and_recover(
             break
         recovery.reset_trees(found, homes)
         gone |= found
+        # The next attempt begins with these trees reset.
         before = _saved(model, data)
     return recovery.report(gone)
 
@@ -164,6 +165,7 @@ class _Recovery:
 
     def step(self, substeps: int) -> set[int]:
         """Step until a fault; return the robots' trees of the faulty islands, and the other faulty trees."""
+        # State and inputs may be bad before any substep: no step has computed contacts then.
         bad = self._bad()
         if bad:
             mujoco.mj_kinematics(self._model, self._data)
@@ -188,6 +190,7 @@ class _Recovery:
     def _affected_trees(self, bad: set[int]) -> set[int]:
         """Return the faulty trees and the robots that touch them, directly or through others."""
         trees = self._model.body_treeid[self._model.geom_bodyid[self._data.contact.geom]].reshape(-1, 2)
+        # Fixed bodies (-1) join no islands.
         pairs = trees[(trees >= 0).all(-1)]
         island = np.isin(np.arange(self._model.ntree), list(bad))
         count = 0
@@ -233,6 +236,7 @@ class _Recovery:
 
     def report(self, trees: set[int]) -> RecoveryResult:
         """Return the robots and bodies of these trees."""
+        # The first body of a tree is its root.
         roots = {tree: int(np.argmax(self._model.body_treeid == tree)) for tree in trees - self._slots.keys()}
         return RecoveryResult(
             robots=frozenset(self._slots[tree] for tree in trees if tree in self._slots),

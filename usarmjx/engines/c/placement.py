@@ -91,8 +91,10 @@ def _offsets(reach: float) -> list[tuple[float, float, float]]:
     if not reach:
         return [(0.0, 0.0, 0.0)]
     spacing = reach / SEARCH_RINGS
+    # A dictionary, as a set in order.
     flat: dict[tuple[float, float], None] = {(0.0, 0.0): None}
     for ring in range(1, SEARCH_RINGS + 1):
+        # As far apart along a ring as the rings are.
         count = max(8, round(2 * math.pi * ring))
         for k in range(count):
             angle = 2 * math.pi * k / count
@@ -109,8 +111,8 @@ class _Probe:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, index: RobotIndex, quat: Array) -> None:
         self._model, self._data = model.__copy__(), mujoco.MjData(model)
-        self._robot_state = np.isin(model.geom_bodyid, index.body_ids)
-        self._moving = (model.body_treeid[model.geom_bodyid] >= 0) & ~self._robot_state
+        self._is_own = np.isin(model.geom_bodyid, index.body_ids)
+        self._moving = (model.body_treeid[model.geom_bodyid] >= 0) & ~self._is_own
         self._root = index.root_qposadr
         # Its own data: contacts of the probe must not reach the next step's warm start.
         self._data.qpos[:] = data.qpos
@@ -125,12 +127,12 @@ class _Probe:
     def lowest_point(self, pos: np.ndarray) -> float:
         """Return the height of the robot's lowest point with its origin at `pos` [m]."""
         self._put(pos)
-        return lowest_point(self._model, self._data, self._robot_state)
+        return lowest_point(self._model, self._data, self._is_own)
 
     def restrict_contacts(self, pos: np.ndarray, reach: float) -> None:
         """Let only the robot collide, and only with geoms that it can reach from `pos` [m]."""
         self._put(pos)
-        model, own = self._model, self._robot_state
+        model, own = self._model, self._is_own
         radius = np.where(model.geom_rbound > 0, model.geom_rbound, np.inf)  # planes have none
         away = np.linalg.norm(self._data.geom_xpos - pos, axis=-1)
         # Everything that any probe can touch: other geoms are left out of all collision tests.

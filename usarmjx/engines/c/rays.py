@@ -104,6 +104,7 @@ def _box(rays: LocalRays) -> np.ndarray:
 def _roots(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return both solutions of a x^2 + 2 b x + c = 0, the smaller first; -1 without."""
     square = b * b - a * c
+    # As in MuJoCo's `ray_quad`: a ray that only grazes a surface misses it.
     root, exists = np.sqrt(square), square >= MIN_LENGTH
     return np.where(exists, (-b - root) / a, -1.0), np.where(exists, (-b + root) / a, -1.0)
 
@@ -154,6 +155,7 @@ def _capsule(rays: LocalRays) -> np.ndarray:
         end = np.stack([point[0], point[1], point[2] - side * size[1]])
         a, b = _row_dot(along, along), _row_dot(along, end)
         for met in _roots(a, b, _row_dot(end, end) - size[0] * size[0]):
+            # Of each ball only the half beyond the cylinder is surface.
             is_met = (met >= 0.0) & (side * (point[2] + met * along[2]) >= size[1])
             nearest = np.where(is_met, np.minimum(nearest, met), nearest)
     return nearest
@@ -177,6 +179,7 @@ def _plane_cosine(rays: LocalRays, met: np.ndarray) -> np.ndarray:
 
 
 def _box_cosine(rays: LocalRays, met: np.ndarray) -> np.ndarray:
+    # On a face that coordinate is nearest to its half length.
     face = (np.abs(_ends(rays, met)) / rays.size).argmax(0)
     return np.abs(np.take_along_axis(rays.along, face[None], 0)[0])
 
@@ -356,6 +359,7 @@ class RayPairs:
         for first, end, solid in zip(ends, ends[1:], SOLIDS.values(), strict=False):
             if first < end:
                 met[:, first:end] = solid.distance(rays.part(np.s_[..., first:end]))
+        # `reduceat` needs the pairs of each bundle side by side.
         order = np.argsort(pairs.bundle, kind="stable")
         bundle, met = pairs.bundle[order], met.take(order, 1)
         firsts = np.flatnonzero(np.append(True, bundle[1:] != bundle[:-1]))
@@ -458,12 +462,12 @@ class CRayCaster:
         self._model, self._data = model, data
         self.met = dict[tuple[int, str], np.ndarray]()
         model.geom_group[:] = [MATERIALS.index(material) for material in materials]
-        self._robot_state = {
+        self._robot_geoms = {
             slot: np.flatnonzero(np.isin(model.geom_bodyid, index.body_ids)) for slot, index in robots.items()
         }
         is_fender = model.geom_group == MATERIALS.index(FENDER)
         self._fenders, self._is_fender = np.flatnonzero(is_fender), np.append(is_fender, False)
-        self._pairs = RayPairs(model, data, self._robot_state)
+        self._pairs = RayPairs(model, data, self._robot_geoms)
 
     def __call__(
         self, origin: Array, direction: Array, query: RayQuery = DEFAULT_QUERY, fans: Fans | None = None
@@ -512,7 +516,7 @@ class CRayCaster:
 
     def geoms_of(self, slot: int) -> np.ndarray:
         """Return a robot's geoms (n,); empty for any other slot."""
-        return self._robot_state.get(slot, np.zeros(0, int))
+        return self._robot_geoms.get(slot, np.zeros(0, int))
 
     def hit_geoms(
         self, start: np.ndarray, along: np.ndarray, query: RayQuery, hidden: np.ndarray
@@ -630,6 +634,7 @@ class CRayCaster:
         normal /= max(math.sqrt(normal @ normal), MIN_NORMAL)
         farthest = np.sqrt(_dot(offset, offset)) + radius
         missed = np.abs(offset @ normal) > radius + farthest * np.abs(along @ normal).max()
+        # Farther back than any ray of the fan gets within that distance.
         missed |= offset @ middle < farthest * min((along @ middle).min(), 0.0) - radius
         return missed & (bound > 0.0)  # planes have no bound
 
@@ -686,6 +691,7 @@ def tree_addresses(model: Any) -> np.ndarray:  # noqa: ANN401 - MuJoCo's types l
 @cache
 def _solid_groups(transparent: frozenset[str]) -> np.ndarray:
     """Return which geom groups block rays that pass some materials (groups,)."""
+    # Groups beyond the materials' stay 0, `HIDDEN_GROUP` among them: rays pass them.
     solid = np.zeros(mujoco.mjNGROUP, np.uint8)
     solid[: len(MATERIALS)] = [material not in transparent for material in MATERIALS]
     return solid
@@ -704,6 +710,7 @@ def nearest_in_block(
         reach = np.stack([distance_to(kind, row, start, along) for row in rows])
         nearest = reach.argmin(0)
         closest = reach.min(0)
+        # Finite for misses, whose normals nobody reads.
         here = np.where(np.isfinite(closest), closest, 0.0)
         pos, mat, size = (np.asarray(x)[nearest] for x in (block.pos, block.mat, block.size))
         offset = start + here[:, None] * along - pos

@@ -149,6 +149,7 @@ class CWorld:
         root = index.root_qposadr
         self.data.qpos[root : root + 7] = (*pos, *quat)
         self.data.qvel[index.root_dofadr : index.root_dofadr + 6] = 0.0
+        # Rays and poses are read before the next step, which would compute these.
         mujoco.mj_kinematics(self.model, self.data)
 
     def move_surface(self, name: str, velocity: Vec3) -> None:
@@ -170,6 +171,7 @@ class CWorld:
     def weld(self, name: str, one: str, other: str) -> None:
         """Hold a body at its present pose in the axes of another one, by a weld of that name."""
         data = self.data
+        # `mj_step` leaves poses from before its integration.
         mujoco.mj_kinematics(self.model, data)
         base, thing = self.model.body(one).id, self.model.body(other).id
         axes = data.xmat[base].reshape(3, 3).T
@@ -194,6 +196,7 @@ class CWorld:
             path: Their poses in several steps, as for `move`.
         """
         self.move(poses, path)
+        # As in `weld`: poses after the last step.
         mujoco.mj_kinematics(self.model, self.data)
         if self._caster is None:
             materials = materials_of(self.model, self._arena)

@@ -134,6 +134,7 @@ class Ball:
         # point.
         disc = Outlines(now.x, now.y, none + 1.0, none, none, none, self.radius + others.outline.radius)
         depth, x, y = disc_overlap(others.outline, disc)
+        # `disc_overlap` returns the rectangle's way out; the ball's is the opposite.
         return jnp.where(others.touches, depth, -1.0), -x, -y
 
     def collide(self, now: BallMotion, others: Obstacles) -> BallMotion:
@@ -203,6 +204,7 @@ class Ball:
         moved, turn = (after.pos - before.pos) / dt, after.yaw - before.yaw
         # Wrapped: at +-pi the difference would be a whole turn, and the robot would seem to spin.
         turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn)) / dt
+        # Of an impulse the ball takes all at a solid, which cannot move, and its share by mass at a robot.
         return Obstacles(
             outline=outline,
             touches=beside & (friction >= 0),
@@ -223,6 +225,7 @@ class Ball:
         others = self.obstacles(height, solids, before, after, dt)
         depth, _, _ = self.overlaps(self.collide(rolled, others), others)
         at_robots = depth[solids.count :]
+        # If an overlap is left after all iterations, the ball has nowhere to go.
         stopped = (at_robots > -NEARBY) & (depth.max() > OVERLAP_TOLERANCE)
         # A robot that would squeeze the ball against a wall stays where it was, as solids do not give way.
         kept = after.replace(

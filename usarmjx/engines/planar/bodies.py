@@ -142,10 +142,10 @@ def servos_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     for robot, index in robots:
         droop[list(index.qposadr)] = stance_of(robot).joints
     names = [model.actuator(i).name for i in range(model.nu)]
-    stays_valid = [i for i, name in enumerate(names) if name.endswith(HOLD_SUFFIX)]
-    pulls = [names.index(names[i].removesuffix(HOLD_SUFFIX)) for i in stays_valid]
+    holds = [i for i, name in enumerate(names) if name.endswith(HOLD_SUFFIX)]
+    pulls = [names.index(names[i].removesuffix(HOLD_SUFFIX)) for i in holds]
     joints = model.actuator_trnid[pulls, 0].astype(int)
-    gains = model.actuator_biasprm[stays_valid], model.actuator_gainprm[stays_valid]
+    gains = model.actuator_biasprm[holds], model.actuator_gainprm[holds]
     # Hold actuators have an affine gain: ctrl times (-stiffness q - damping v).
     damping, stiffness = -gains[1][:, 2], -gains[1][:, 1]
     limited = model.jnt_limited[joints].astype(bool)
@@ -155,7 +155,7 @@ def servos_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     pairs = np.stack([model.eq_obj1id[gears], model.eq_obj2id[gears]], -1).astype(int).reshape(-1, 2)
     return PlanarServos(
         pull=np.array(pulls, int),
-        hold=np.array(stays_valid, int),
+        hold=np.array(holds, int),
         act=model.actuator_actadr[pulls].astype(int),
         qpos=model.jnt_qposadr[joints].astype(int),
         qvel=model.jnt_dofadr[joints].astype(int),
@@ -326,11 +326,11 @@ class PlanarRobots:
             qvel=set_rows(state.qvel, (self.root_dof, speed)),
         )
 
-    def choose(self, flown: Motion, integrate_twist: Motion) -> Motion:
+    def choose(self, flown: Motion, rolled: Motion) -> Motion:
         """Select one motion for flying robots and another for the rest."""
         if not self.flies.any():
-            return integrate_twist
-        return jax.tree.map(lambda a, b: jnp.where(self.flies[:, None], a, b), flown, integrate_twist)
+            return rolled
+        return jax.tree.map(lambda a, b: jnp.where(self.flies[:, None], a, b), flown, rolled)
 
     def footprints(self, motion: Motion) -> Footprints:
         """Return the robots' footprints."""

@@ -215,6 +215,7 @@ class PlanarEngine(Engine[PlanarState]):
             footprints = jax.vmap(self._robots.footprints)(robots)
             limit = jax.vmap(partial(ground_limits, self._robots))(robots)
             scene = jax.vmap(self._solids.movable_set.placement, (0, None))(state.qpos, None)
+            # Of `moves` only type and shape matter.
             return ProposedMotion(
                 footprints, footprints, footprints.yaw > 0, None, limit, scene, state.qpos, None
             )

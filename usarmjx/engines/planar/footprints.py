@@ -220,6 +220,7 @@ def _compute_if(needed: Any, function: Callable[..., Any], *args: Any, otherwise
 def _outlines_of(which: Array, near: Outlines, robots: Outlines) -> Outlines:
     """Return for each robot the outline of a solid near it, or of a robot of its world, by index."""
     count, worlds = len(near.x), jnp.arange(which.shape[1])
+    # Places in both tables end to end: solids (k, robots, worlds), then robots (robots, worlds).
     solid = (which * which.shape[0] + jnp.arange(len(which))[:, None]) * which.shape[1] + worlds
     robot = (which - count + count * which.shape[0]) * which.shape[1] + worlds
     place = jnp.where(which < count, solid, robot)

@@ -200,6 +200,7 @@ def build_neighbor_list(
     higher = _height_gap(found, x, y, low, footprints.high[:, None], footprints.step[:, None])
     stops, may_stop = higher < 0, jnp.maximum(apart, higher)
     steep = jnp.abs(found.slope_x) + jnp.abs(found.slope_y)
+    # A sloped top is lowest at the robot's lower end: a bound from below for all of its feet.
     lowest = found.top + dx * found.slope_x + dy * found.slope_y - size * steep
     deep = lowest - limit[:, None]
     # Solids that lie below the floor everywhere can never be ground: it is higher.
@@ -241,6 +242,7 @@ def _margin(apart: Array, higher: Array, steep: Array, others: Array, reach: Mar
     until = jnp.where(by_height, jnp.maximum(apart, higher / (2 * jnp.maximum(steep, 1e-6))), apart)
     # Solids in the list need no margin: they are tested in every step.
     aside = jnp.where(others, until, FAR_AWAY).min(-1, initial=FAR_AWAY)
+    # Solids that come within the margin sideways matter only by their height.
     crossed = others & by_height & (apart < aside[:, None])
     height = jnp.where(steep > 0, higher / 2, higher)
     return Margin(aside=aside, height=jnp.where(crossed, height, FAR_AWAY).min(-1, initial=FAR_AWAY))

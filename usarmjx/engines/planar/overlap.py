@@ -52,6 +52,7 @@ def rectangle_overlap(one: Outlines, other: Outlines) -> tuple[Array, Array, Arr
     rectangle's centre, so that nothing passes through a thin wall.
     """
     dx, dy = one.x - other.x, one.y - other.y
+    # Rectangles are symmetric: of the angle between them the signs do not matter.
     c = jnp.abs(one.cos * other.cos + one.sin * other.sin)
     s = jnp.abs(one.cos * other.sin - one.sin * other.cos)
     ways: list[tuple[Array, Array, Array]] = []

@@ -59,6 +59,7 @@ class MovableSolids:
         """
         loose, count = qpos[self.loose], len(self.pose_index)
         if poses is None or not count:
+            # As below: position, quaternion and size.
             return SolidPlacement(loose=loose, geoms=jnp.zeros((count, 10)))
         size = jnp.asarray(self.size, jnp.float32) if poses.size is None else poses.size[self.pose_index]
         parts = poses.pos[self.pose_index], poses.quat[self.pose_index], size

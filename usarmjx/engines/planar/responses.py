@@ -135,6 +135,7 @@ def response_file(robot: RobotSpec, folder: Path | None = None) -> Path | None:
         folder: Cache folder; None: this user's.
     """
     cache = own_cache_folder(os.environ) if folder is None else folder
+    # By digest, too: robots of one name may have other descriptions.
     return None if cache is None else cache / "planar" / f"{robot.name}-{description_key(robot)}.json"
 
 
@@ -201,6 +202,7 @@ def check_robot(robot: RobotSpec) -> None:
         UnsupportedFeatureError: Names the robot.
     """
     drive = robot.drive
+    # Parts without a drive are legs' joints, on which a robot walks.
     if isinstance(drive, NoDrive) and robot.parts:
         raise UnsupportedFeatureError(
             f"engine 'planar' cannot run this scene: {robot.name} walks on legs; engines c, jax and warp can"
@@ -219,6 +221,7 @@ def response_entry(robot: RobotSpec, response: Response, **more: Any) -> dict[st
 
 def error_table() -> str:
     """Return the residual errors of the packaged responses by class, as a Markdown table."""
+    # All measurements have the same horizons.
     horizons = list(next(iter(packaged_responses().values()))["errors"])
 
     def text(error: dict[str, float]) -> str:

@@ -128,6 +128,7 @@ def solid_geoms(model: mujoco.MjModel, robot_bodies: set[int], moved_ids: list[i
 def floor_height(model: mujoco.MjModel) -> float:
     """Return the height of the floor [m]; far below everything without one."""
     planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    # Floors are level: their height is the same everywhere.
     heights = [model.body_pos[model.geom_bodyid[g], 2] + model.geom_pos[g, 2] for g in planes]
     return float(max(heights, default=-FAR_AWAY))
 

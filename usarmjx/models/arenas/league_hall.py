@@ -54,6 +54,7 @@ def victim_box(at: Position2D, heading: float) -> tuple[Shape, ...]:
         ((-BACK, -half, 0.0), (front, -half + SHEET, BOX_HEIGHT)),
         ((-BACK, half - SHEET, 0.0), (front, half, BOX_HEIGHT)),
         ((-BACK, -half, BOX_HEIGHT - SHEET), (front, half, BOX_HEIGHT)),
+        # The front: above the slot for the legs, around the hole.
         ((front - SHEET, -half, SLOT), (front, half, low)),
         ((front - SHEET, -half, high), (front, half, BOX_HEIGHT)),
         ((front - SHEET, -half, low), (front, -HOLE / 2, high)),

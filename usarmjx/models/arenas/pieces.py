@@ -158,6 +158,7 @@ def ramp(
 
     `at` is the slab's centre; its part below the floor has no contacts.
     """
+    # Less what `slope` adds: the slab's centre is half a thickness below its upper face.
     back = run / 2 + thickness / 2 * math.sin(angle)
     x, y = at[0] - back * math.cos(uphill), at[1] - back * math.sin(uphill)
     head = (x + run * math.cos(uphill), y + run * math.sin(uphill), run * math.tan(angle))
@@ -183,6 +184,7 @@ def ramps(
     """
     rows = plan.strip("\n").splitlines()
     slabs: list[Shape] = []
+    # The last row of text is nearest to the corner, as y grows upwards on paper.
     for row, line in enumerate(reversed(rows)):
         for column, letter in enumerate(line):
             if letter in " .":
@@ -246,6 +248,7 @@ def cover_boxes(grid: PostHeights) -> list[tuple[int, int, int, int, int]]:
     for height in range(1, max(map(max, grid)) + 1):
         bare = {(i, j) for i, row in enumerate(grid) for j, post in enumerate(row) if post == height}
         while bare:
+            # Greedy: a partition into the fewest boxes is hard to find, and this comes near it.
             box = max(_boxes_at(grid, min(bare), height), key=lambda box: len(bare & _posts(box)))
             boxes.append((height, *box))
             bare -= _posts(box)
@@ -287,6 +290,7 @@ def step_field(
     """
     grid = heights(STEP_FIELDS.get(pattern, pattern))
     size, yaw = (len(grid) * POST, len(grid[0]) * POST), turns * math.pi / 2
+    # Quarter turns by whole numbers, or posts would miss the grid by roundings.
     cos, sin = round(math.cos(yaw)), round(math.sin(yaw))
     shapes: list[Shape] = []
     for height, x0, x1, y0, y1 in cover_boxes(grid):
@@ -369,10 +373,12 @@ def walls(
     rows = plan.strip("\n").splitlines()  # a row of blanks is a row of open cells
     if len({len(row) for row in rows}) != 1 or len(rows) % 2 == 0:
         raise SpecError("a floor plan needs an odd number of rows of the same length")
+    # A cell is `+--`, three letters, and of two rows.
     columns, lines = (len(rows[0]) - 1) // 3, (len(rows) - 1) // 2
     boxes: list[Shape] = []
 
     def add(x0: float, y0: float, x1: float, y1: float) -> None:
+        # Longer by a thickness, so that walls close at corners.
         half = ((x1 - x0 + thickness) / 2, (y1 - y0 + thickness) / 2, height / 2)
         centre = (origin[0] + (x0 + x1) / 2, origin[1] + (y0 + y1) / 2, height / 2)
         boxes.append(Shape(kind="box", size=half, at=centre, surface="wall", rgba=WALL_RGBA))
@@ -524,8 +530,10 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
     draw = random.Random(seed)
     chunks: list[Shape] = []
     for i in range(count):
+        # By the square root, which spreads chunks evenly over the area.
         out = math.sqrt(i / count)
         x, y = (radius * out * turn(i * GOLDEN_ANGLE) for turn in (math.cos, math.sin))
+        # Chunks reach into the ground: tilted, they leave no gap below.
         top, below = height * (1 - 0.85 * out), 0.15
         half = (draw.uniform(0.15, 0.3), draw.uniform(0.1, 0.2), (top + below) / 2)
         tilt = (draw.uniform(-0.3, 0.3), draw.uniform(-0.3, 0.3), draw.uniform(-math.pi, math.pi))
@@ -559,6 +567,7 @@ def _bars(
 
     Engine `jax` has no contacts of cylinders with boxes.
     """
+    # Corners of both boxes lie on the pipe's circle.
     half = diameter / math.sqrt(8)
     return tuple(
         Shape(

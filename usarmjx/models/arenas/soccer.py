@@ -93,6 +93,7 @@ def _markings() -> tuple[Shape, ...]:
     for side in (-1, 1):
         lines.append(_line((side * (LENGTH / 2 - depth), 0.0), width, math.pi / 2))
         lines += [_line((side * (LENGTH - depth) / 2, far * width / 2), depth) for far in (-1, 1)]
+    # Tangents of the circle, whose ends meet.
     chord = 2 * CIRCLE_RADIUS * math.tan(math.pi / CIRCLE_SIDES)
     for i in range(CIRCLE_SIDES):
         turn = 2 * math.pi * i / CIRCLE_SIDES

@@ -1,7 +1,6 @@
 """Robots by name, or from the file that a name is."""
 
 import logging
-from collections.abc import Iterable
 from pathlib import Path
 
 from usarmjx.base.errors import UnknownNameError, UsageError
@@ -36,6 +35,7 @@ def find_robot(robot: str | RobotSpec) -> RobotSpec:
     path = Path(robot)
     if path.suffix.lower() in ROBOT_SUFFIXES or path.is_file():
         return register_robot_file(path)
+    # Only a bare name is searched: a path means one file.
     found = Resources().named(robot, ROBOT_SUFFIXES) if path.name == robot else None
     if found is not None:
         return register_robot_file(found)
@@ -43,12 +43,11 @@ def find_robot(robot: str | RobotSpec) -> RobotSpec:
     raise UnknownNameError(f"{refusal}; or a file: {', '.join(ROBOT_SUFFIXES)}")
 
 
-def register_robot_file(path: Path, packages: Iterable[str | Path] = ()) -> RobotSpec:
+def register_robot_file(path: Path) -> RobotSpec:
     """Return the robot in a file, and register it; what is left out is logged as warnings.
 
     Args:
         path: The file.
-        packages: Folders in which packages and models are searched first.
 
     Raises:
         UnknownNameError: There is no such file.
@@ -58,12 +57,14 @@ def register_robot_file(path: Path, packages: Iterable[str | Path] = ()) -> Robo
     from usarmjx.models.files.robot_file import load_robot
 
     check_robot_file(path)
+    # What the robot depends on: the file may change on disk, and so may where its parts are found.
     key = path.resolve(), path.stat().st_mtime_ns, search_path(), mesh_pieces()
     known = _loaded.get(key)
     if known is not None and ROBOTS.find(known.name) is known:
         return known
-    loaded = load_robot(path, packages=packages)
+    loaded = load_robot(path)
     robot, before = loaded.robot, ROBOTS.find(loaded.robot.name)
+    # A file may replace the robot of another file, but never one of usarmjx's own.
     if before is not None and before != robot and before not in _loaded.values():
         raise UsageError(
             f"{path}: its robot is called {robot.name}, as one of usarmjx's; rename it in the file"

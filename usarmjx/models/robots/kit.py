@@ -198,6 +198,7 @@ def belt_looks(front: Vec3, rear: Vec3, radii: tuple[float, float], width: float
         return (*ends, block(((x0 - x1) / 2, half, radii[0]), ((x0 + x1) / 2, y, z0), TYRE_BLACK))
     lean = (radii[1] - radii[0]) / math.hypot(x0 - x1, z0 - z1)  # sine of the common tangents' slope
     ahead, rise, corners = math.copysign(1.0, x0 - x1), math.sqrt(1 - lean * lean), list[Vec3]()
+    # Where the common tangents touch both ends: the hull of these points is what lies between the ends.
     for (x, z), radius in zip(((x0, z0), (x1, z1)), radii, strict=True):
         for side in (-1.0, 1.0):
             corners += [
@@ -367,6 +368,7 @@ def pan_tilt(
                 parent=-1,
                 location=location,
                 orientation=(math.pi, 0.0, 0.0),
+                # Limits in the wrong order are none: the head turns all the way round.
                 min_range=1.0,
                 max_range=0.0,
                 shapes=(pan_shape,),
@@ -454,6 +456,7 @@ class Belt:
 
     def motor(self, radius: float) -> Motor:
         """Return the motor of a wheel of some radius: same pull, same belt speed."""
+        # Torque and inertia grow with the radius so that belts accelerate alike on wheels of all sizes.
         armature = self.inertia * radius**2
         return Motor(
             max_speed=self.max_spin * self.radius / radius,
@@ -465,6 +468,7 @@ class Belt:
 
     def wheel(self, name: str, at: Vec3, radius: float, parent: str = CHASSIS) -> Part:
         """Return one wheel of a track."""
+        # Of equal width: the mass grows with the square of the radius.
         mass = self.wheel_mass * (radius / self.radius) ** 2
         size = (radius, self.width)
         part = wheel(
@@ -582,6 +586,7 @@ class Flippers:
         They point outward at zero. The wheels of FRFlipper are FRFlipperWheel1 to the tip's.
         """
         x, y = self.pivot
+        # y points to the right, as in the original.
         corners = {"FR": (x, y), "FL": (x, -y), "RR": (-x, y), "RL": (-x, -y)}
         flippers: list[Part] = []
         wheels: list[Part] = []
@@ -627,6 +632,7 @@ def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:
     """Return the drive of all wheels among the parts, by their side of the robot."""
     by_name = {part.name: part for part in parts}
 
+    # Wheels of a flipper have positions on it, not on the chassis.
     def side(part: Part) -> float:
         return part.at[1] + (side(by_name[part.parent]) if part.parent in by_name else 0.0)
 

@@ -73,6 +73,7 @@ def omni_pillar(centre_links: int = 2) -> MissionPackage:
 
 def mount_package(package: MissionPackage, location: Vec3, name: str = "") -> MissionPackage:
     """Return a package at a position on the chassis, under another name if given."""
+    # Other links are placed on their parents, and follow.
     links = tuple(
         replace(link, location=tuple(a + b for a, b in zip(link.location, location, strict=True)))
         if link.parent == -1

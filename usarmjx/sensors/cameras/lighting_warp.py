@@ -204,6 +204,7 @@ def first_in_cone(  # noqa: PLR0913 - a struct of them would do no more
         slot = begin + lane
         near = wp.float32(wp.inf)
         if slot < count:
+            # Boxes fit the large geoms, which come first; spheres are enough for the others.
             near = _cone_distance(geoms, first + geom_row(slot), cone, slot < wide)
         candidates = lanes_in_which(near < wp.inf and near <= farthest)
         while candidates != wp.uint32(0):
@@ -317,6 +318,7 @@ def light_at(
             dark = _is_dark(scene, first, turn == 1, point, beam.toward, beam.away, source) or dark
         if not dark:
             bright = bright + beam.light * beam.rgb
+        # After the lamps come the headlights, unless none of them is on.
         first += 2 * scene.lamps
         count = scene.headlights
         turn = wp.where(mood[3] > 0.0, turn + 1, 2)

@@ -208,11 +208,13 @@ def camera_view(viewpoint: Viewpoint, width: int, height: int) -> CameraView:
     eyes, times = len(offsets), viewpoint.supersampling
     size = width // eyes * times, height * times
     if viewpoint.lens == "omni":
+        # By tangents: at half of the default one the mirror is twice as large.
         rays = omni_rays(*size, xp.tan(viewpoint.default_fov / 2) / xp.tan(viewpoint.fov / 2))
         # Rays start at the mirror's focus, as its reflections seem to.
         offsets = offsets + xp.array([MIRROR_DISTANCE, 0.0, 0.0])
     else:
         rays = pinhole_rays(*size, viewpoint.fov, viewpoint.distortion)
+    # Sums of products and no `@`, which a GPU computes with TensorFloat-32 by default.
     along = xp.stack(
         [sum(viewpoint.mat[i, j] * rays.direction[:, j] for j in range(3)) for i in range(3)], -1
     )
@@ -226,6 +228,7 @@ def _shade_rays(
 ) -> Shaded:
     """Shade a camera's rays; in chunks on NumPy."""
     slot = xp.asarray(viewpoint.slot)
+    # On NumPy a chunk's arrays stay in the cache, and one scene's memory stays bounded.
     if on_numpy():
         parts = [slice(first, first + CHUNK) for first in range(0, len(start), CHUNK)]
         seen = [shade(render_scene, start[part], along[part], slot, caster) for part in parts]
@@ -355,6 +358,7 @@ def _project(viewpoint: Viewpoint, point: Array, view: CameraView) -> Array:
     flat = -local[:, 1:] / xp.where(ahead > 0, ahead, xp.nan)
     if viewpoint.distortion is not None:
         square = (flat * flat).sum(-1, keepdims=True)
+        # Forward, from the undistorted point; `pinhole_rays` inverts it.
         flat = flat * (1 + square * (viewpoint.distortion[0] + viewpoint.distortion[1] * square))
     focal = view.size[0] / 2 / xp.tan(viewpoint.fov / 2)
     return flat * focal if viewpoint.lens == "pinhole" else xp.full(flat.shape, np.nan)

@@ -99,6 +99,7 @@ def smooth_noise(x: Array, y: Array, salt: int) -> Array:
 
 def _brick(across: Array, up: Array) -> Array:
     row = xp.floor(up / BRICK[1]).astype(xp.int32)
+    # Every other row is shifted by half a brick.
     shifted = across / BRICK[0] + 0.5 * (row % 2)
     column = xp.floor(shifted).astype(xp.int32)
     joint = ((shifted - column) * BRICK[0] < MORTAR) | ((up / BRICK[1] - row) * BRICK[1] < MORTAR)
@@ -115,9 +116,11 @@ def _tiles(across: Array, up: Array) -> Array:
 
 def _wood(across: Array, up: Array) -> Array:
     row = xp.floor(up / PLANK[1]).astype(xp.int32)
+    # Rows begin at places of their own, so that no joints line up.
     along = across / PLANK[0] + noise(row, row, 5)
     column = xp.floor(along).astype(xp.int32)
     gap = ((along - column) * PLANK[0] < 0.004) | ((up / PLANK[1] - row) * PLANK[1] < 0.004)
+    # A shift by row gives each plank a grain of its own.
     grain = smooth_noise(across / GRAIN[0] + 7.0 * row, up / GRAIN[1], 6)
     return xp.where(gap, 0.35, (0.7 + 0.3 * noise(column, row, 7)) * (0.75 + 0.4 * grain))
 
@@ -143,6 +146,7 @@ def _chart(u: Array, v: Array, number: Array) -> Array:
     dark, radius = xp.zeros(u.shape, bool), xp.hypot(u, v)
     for ring in range(LANDOLT_RINGS):
         outer = 0.95 * 0.5**ring
+        # From the sign's number: the same chart has the same gaps in every run.
         turn = xp.floor(8 * noise(xp.asarray(number), xp.full_like(number, ring), 11)) * (np.pi / 4)
         ahead = u * xp.cos(turn) + v * xp.sin(turn)
         aside = v * xp.cos(turn) - u * xp.sin(turn)
@@ -168,6 +172,7 @@ def _tag(u: Array, v: Array, number: Array) -> Array:
     column = xp.clip(xp.floor((u + 1) / 2 * cells), 0, cells - 1).astype(xp.int32) - 2
     row = xp.clip(xp.floor((1 - v) / 2 * cells), 0, cells - 1).astype(xp.int32) - 2
     inside = (column >= 0) & (column < 4) & (row >= 0) & (row < 4)
+    # Cells count from the top left, the highest bit first.
     place = xp.clip(15 - (4 * row + column), 0, 15)
     bit = (xp.asarray(TAG_BITS)[number % len(TAG_BITS)] >> place) & 1
     rim = (column < -1) | (column > 4) | (row < -1) | (row > 4)
@@ -207,7 +212,9 @@ def on_face(pos: Array, mat: Array, size: Array, point: Array, normal: Array) ->
     """
     local = [sum(mat[:, j, i] * (point[j] - pos[:, j]) for j in range(3)) for i in range(3)]
     facing = [sum(mat[:, j, i] * normal[j] for j in range(3)) for i in range(3)]
+    # 0.7 is just below the cosine of 45 degrees: of a box's face exactly one axis is above it.
     x, y, top = (xp.abs(one) > 0.7 for one in facing)
+    # Signs by the side, or lettering on opposite faces would be mirrored.
     right = xp.where(x, xp.sign(facing[0]) * local[1], xp.where(y, -xp.sign(facing[1]) * local[0], -local[1]))
     right = xp.where(top, -xp.sign(facing[2]) * local[1], right)
     up = xp.where(top, local[0], local[2])
@@ -518,6 +525,7 @@ def _with_textures(caster: Caster, first: RayHits, point: Array, normal: Array, 
     appearance, which = caster.appearance, xp.maximum(first.geom_index, 0)
     code = xp.where(first.geom_index >= 0, xp.asarray(appearance.texture)[which], 0)
     plain = xp.asarray(appearance.rgb).T[:, which]
+    # 0.7 as in `on_face`: faces steeper than 45 degrees are walls.
     level = xp.abs(normal[2]) > 0.7
     side = point[1] * normal[0] - point[0] * normal[1]  # along a wall
     place = xp.where(level, point[0], side), xp.where(level, point[1], point[2])
@@ -594,6 +602,7 @@ def _headlight(render_scene: RenderScene, surface: _Surface, dark: Darkness | No
     lights = render_scene.headlights
     for number, (pos, along, on) in enumerate(zip(lights.pos, lights.direction, lights.on, strict=True)):
         way, distance = _way(surface.point, pos)
+        # The light shines away from the lamp, `way` points to it.
         own = xp.maximum(_dot(surface.normal, way), 0.0) * spot_falloff(-_dot(way, along))
         own = own * HEADLIGHT_BRIGHTNESS * distance_falloff(distance) * on
         more = own > best

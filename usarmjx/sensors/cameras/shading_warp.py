@@ -150,6 +150,7 @@ def _geoms_at(geoms: wp.array[wp.vec4], first: int) -> WorldGeoms:
     """Return the geoms of a world from a row on."""
     world = WorldGeoms()
     world.own = address_of(geoms, first)
+    # With an empty range of fixed geoms all are own ones.
     world.fixed = world.own
     world.begin = 0
     world.end = 0
@@ -297,6 +298,7 @@ def shade_mirrors_and_panes(  # noqa: PLR0913 - as above
         ray.reach = wp.min(distance[number], UNLIMITED)
         base = scene.first + ((solids + 31) >> 5) * GROUP_SIZE
         look = scene.paint + ((solids + 31) >> 5) * 32
+        # All by boxes: `wide` counts solids only, and large panes have no sphere.
         boxes = panes
         count = panes
         passed = float(exclude[cast])

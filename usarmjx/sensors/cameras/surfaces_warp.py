@@ -105,6 +105,7 @@ def surface_at(
     reach: float,
 ) -> WarpSurface:
     """Return the surface of a geom, with its first row and that of its colour, at a distance on a ray."""
+    # Rows of a geom are 32 apart, since groups of 32 geoms lie row by row; see `raycast_warp.pack`.
     pos = load_vec4(scene.geoms, at)
     r0 = load_vec4(scene.geoms, at + 32)
     r1 = load_vec4(scene.geoms, at + 64)
@@ -117,6 +118,7 @@ def surface_at(
     inside = local(r0, r1, r2, point - xyz(pos))
     facing = normal_of(kind, inside, size)
     normal = wp.vec3(wp.dot(xyz(r0), facing), wp.dot(xyz(r1), facing), wp.dot(xyz(r2), facing))
+    # As `targets.normals`: surfaces seen from inside face the other way.
     if wp.dot(normal, along) > 0.0:
         facing = -facing
         normal = -normal
@@ -133,6 +135,7 @@ def surface_at(
     elif look[3] == ARENA:
         rgb = rgb * _bricks(point, normal, load_vec4(scene.lights, scene.light + 1)[2])
     out = WarpSurface()
+    # Off the surface, or its own rounding errors would shade it.
     out.point = point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal
     out.normal = normal
     out.rgb = rgb

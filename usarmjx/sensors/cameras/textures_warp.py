@@ -72,6 +72,7 @@ def smooth_noise(x: float, y: float, salt: int) -> float:
 @wp.func
 def _brick(across: float, up: float) -> float:
     row = int(wp.floor(up / BRICK_HEIGHT))
+    # `& 1` and no `%`, whose sign is that of a negative row here.
     shifted = across / BRICK_LENGTH + 0.5 * wp.float32(row & 1)
     column = int(wp.floor(shifted))
     joint = (shifted - wp.float32(column)) * BRICK_LENGTH < MORTAR

@@ -124,6 +124,7 @@ def _gap(at: wp.uint64, point: wp.vec3, exclude: float) -> float:
 def _limit(distance: float, counts: bool) -> wp.uint32:
     """Return the bits of the distance beyond which no hit matters: the nearest that counts, or the last."""
     nearest = least_key_of_lanes(wp.cast(wp.where(counts, distance, wp.inf), wp.uint32))
+    # The largest is the complement of the smallest complement: there is only one reduction.
     farthest = ~least_key_of_lanes(~wp.cast(distance, wp.uint32))
     return wp.min(nearest, farthest)
 
@@ -195,6 +196,7 @@ def _list_near_geoms(
         if width == 1:
             gaps[slot] = gap
         else:
+            # The copies of the last geom past the end are in no shell.
             _shared_gaps(slot, wp.where(slot < count, gap, wp.inf))
         begin += width
     listed = OwnList()
@@ -284,6 +286,7 @@ def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
         if row >= near.end and limit > assured:
             row = wp.int32(0)
             assured = wp.uint32(LAST_KEY)
+    # What hides the ray without counting leaves a miss, not the geom behind it.
     if not counts:
         best.distance = wp.inf
         best.geom = -1.0
@@ -316,13 +319,16 @@ def cast_first_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     t = thread_index(wp.tid())
     cast = t >> 5
     lane = t & 31
+    # 0 on a CPU, where a thread works on its own and sees no other lanes.
     column = lane & (lanes() - 1)
+    # Surplus lanes repeat the last ray: votes need all of them, and equal writes do no harm.
     ray = wp.min(lane, per_fan - 1)
     if wanted[cast] <= 0:
         _miss_all(cast * fans * per_fan, fans * per_fan, lane, distance, geom)
         return
     world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
     other = float(exclude[cast])
+    # One list for all fans of a cast, about the middle of their tips: `spread` widens its shells.
     center = wp.vec3(0.0, 0.0, 0.0)
     for fan in range(fans):
         center += pos[cast * fans + fan] / float(fans)
@@ -346,6 +352,7 @@ def cast_first_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
 
 def cones_of(directions: np.ndarray) -> np.ndarray:
     """Return the bounding cones of fans (fans, rays, 3) from one point each: axis and slope (fans, 4)."""
+    # As `bundles.bounding_cones`, but on the host: directions on the mount never change.
     axis = directions.mean(1)
     axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), TINY)
     cosine = np.min((directions * axis[:, None]).sum(-1), -1)

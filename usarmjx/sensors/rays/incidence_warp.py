@@ -66,8 +66,10 @@ def cosines_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     if geom[t] >= 0:
         cast = integer_quotient(t, rays)
         ray = t - cast * rays
+        # All fans of a cast have the same number of rays.
         fan = cast * fans + integer_quotient(ray, integer_quotient(rays, fans))
         world = world_geoms(own, own_world[cast], fixed, fixed_world[cast], begin_fixed, end_fixed, count)
+        # `geom` counts in the scene's order, the packed array in the order of blocks.
         at = geom_of(world, slots[geom[t]])
         found = _cosine(at, pos[fan], mat[fan] * lines[ray], distance[t])
     cosine[t] = found

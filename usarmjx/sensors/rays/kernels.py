@@ -103,6 +103,7 @@ def ray_cylinder(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Return the distance to a cylinder about z with radius `size[0]` and half length `size[1]`."""
     radius, half = size[0], size[1]
     sides = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
+    # As in `ray_box`: huge instead of infinite.
     step = xp.where(xp.abs(direction[2]) < TINY, TINY, direction[2])
     caps: list[Array] = []
     for end in (-half, half):
@@ -174,6 +175,7 @@ def ray_fender(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     For a ray from inside the exit point decides.
     """
     t = ray_box(origin, direction, size)
+    # Finite for a miss too: infinity times a direction's 0 is NaN.
     met = xp.isfinite(t)
     reach = xp.where(met, t, 0.0)
     point = [origin[i] + reach * direction[i] for i in range(3)]

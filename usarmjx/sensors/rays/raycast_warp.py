@@ -217,6 +217,7 @@ def world_geoms(
 ) -> WorldGeoms:
     """Return where the geoms of a world are; `count` of both."""
     world = WorldGeoms()
+    # `pack` makes one group of padding of no geoms at all, hence at least 1.
     world.own = address_of(own, own_world * wp.max((count - (end - begin) + 31) >> 5, 1) * GROUP_SIZE)
     world.fixed = address_of(fixed, fixed_world * wp.max((end - begin + 31) >> 5, 1) * GROUP_SIZE)
     world.begin = begin
@@ -253,7 +254,8 @@ def cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
     if not same_start:
         cone.tip = share * wp.vec3(sum_of_lanes(start[0]), sum_of_lanes(start[1]), sum_of_lanes(start[2]))
         away = start - cone.tip
-        # The largest by the smallest of the negatives: one reduction serves both.
+        # A ball about the mean of the starts holds all of them. The largest by the smallest of the
+        # negatives: one reduction serves both.
         cone.tip_radius = CONE_MARGIN + wp.sqrt(-least_of_lanes(-wp.dot(away, away)))
     axis = share * wp.vec3(sum_of_lanes(along[0]), sum_of_lanes(along[1]), sum_of_lanes(along[2]))
     cone.axis = axis / wp.sqrt(wp.max(wp.dot(axis, axis), TINY))
@@ -434,6 +436,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     best.distance = wp.inf
     best.geom = -1.0
     if wanted[cast] > 0:
+        # Poses of all casts lie one after the other, and those of a cast's fans together.
         fan = cast * fans
         if fans > 1:
             # All fans of a cast have the same number of rays, one fan after the other.
@@ -551,6 +554,7 @@ def cast_single_rays(  # noqa: PLR0913 - as above
                     float(exclude[cast]),
                     reach,
                 )
+                # All lanes cast each ray together; each keeps its own, so that writes go side by side.
                 if i - begin == lane:
                     kept = best
             i += step

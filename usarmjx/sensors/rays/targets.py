@@ -94,6 +94,7 @@ def indices_by_key(kind: np.ndarray, *others: Sequence[Any]) -> dict[Any, np.nda
     indices: dict[Any, list[int]] = {}
     for i, sort in enumerate(zip(map(int, kind), *others, strict=True)):
         indices.setdefault(sort, []).append(i)
+    # Sorted, so that the order of blocks, and with it every program, does not depend on the order of geoms.
     return {sort: np.array(indices[sort]) for sort in sorted(indices)}
 
 
@@ -160,9 +161,11 @@ def normals(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Arr
 
     They are zero without a hit.
     """
+    # Misses read the first geom, since arrays have no entry for none; `mine` drops their values.
     geom = jax.tree.map(lambda x: x[jnp.maximum(first.geom_index, 0)], concatenated(geoms))
     reach = jnp.where(first.geom_index >= 0, first.distance, 0.0)[:, None]
     offset = origin + reach * direction - geom.pos
+    # Sums of products and no `@`, which a GPU computes with TensorFloat-32 by default.
     point = jnp.stack([sum(geom.mat[:, j, i] * offset[:, j] for j in range(3)) for i in range(3)], -1)
     normal, before = jnp.zeros_like(point), 0
     for kind, block in zip(geoms.kinds, geoms.blocks, strict=True):

@@ -128,6 +128,7 @@ def _ray_ellipsoid(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     stretch = wp.dot(along, along)
     middle = -wp.dot(start, along) / stretch
     foot = start + middle * along
+    # Divided by the stretch, t is a distance along the given ray, as the scaled direction is no unit vector.
     under = 1.0 - wp.dot(foot, foot)
     half = wp.sqrt(wp.max(under, 0.0) / stretch)
     return wp.where(under >= 0.0, wp.min(_ahead(middle - half), _ahead(middle + half)), wp.inf)
@@ -168,6 +169,7 @@ def _in_hole(p: wp.vec3, s: wp.vec3) -> bool:
 @wp.func
 def _ray_fender(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
     t = _ray_box(o, d, s)
+    # A miss keeps its finite start point: `where` drops the result, but NaN would spread.
     reach = wp.where(t < wp.inf, t, 0.0)
     return wp.where(_in_hole(o + reach * d, s), wp.inf, t)
 
