@@ -482,6 +482,7 @@ def range_edges(numbers: Sequence[float], count: int = BINS) -> np.ndarray:
 
 def _range_of(edges: np.ndarray, number: float) -> int:
     """Return in which range a number lies; one on an edge is in the upper of its two."""
+    # The highest number is on the last edge, which begins no range.
     return min(int(np.searchsorted(edges, number, side="right")) - 1, len(edges) - 2)
 
 

@@ -178,6 +178,7 @@ class _Frozen:
     """Settings as a key of a cache."""
 
     def __init__(self, settings: CellSettings) -> None:
+        # By text: settings hold lists and mappings, which have no hash.
         self.settings, self._text = settings, repr(sorted(settings.items()))
 
     def __hash__(self) -> int:

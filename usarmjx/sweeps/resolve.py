@@ -320,6 +320,7 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
     compiled = {
         field.name: getattr(task, field.name)
         for field in fields(task)
+        # These have entries of their own below.
         if field.name not in ("arena", "radio", "vary", "physics")
     }
     radio = task.radio
@@ -333,6 +334,7 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
     return {
         "engine": engine,
         "task": cell.settings["task"].lower(),
+        # By text, as fields may hold what has no hash.
         "team and fields of the task": repr(sorted(compiled.items(), key=lambda row: row[0])),
         "arena": repr(task.arena)
         if cell.arenas is None
@@ -414,6 +416,7 @@ def _value(text: str, kind: type, name: str, where: str, base: Task | None = Non
     except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: no such date, or too many digits
         data = text
     words = data if is_list(data) else [data]
+    # YAML takes 1e-3 for a word: what is a number is for the field's own reader to say.
     if any(isinstance(word, str) or word is None for word in words):
         return to_data(reader.text_values(kind, {name: text}, where=where, base=base)[name])
     reader.values(kind, {name: data}, where=where, base=base)

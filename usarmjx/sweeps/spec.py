@@ -195,6 +195,7 @@ def check_key(key: str, where: str) -> None:
                 f"{where} has no setting {key!r}; {first} has: {', '.join(parts()[first])}{other}"
             )
         return
+    # The three in brackets have parts only: a bare name sets nothing.
     if dot or key not in NAMES or key in (FIELDS, "radio", "vary"):
         known = [one for one in NAMES if one not in (FIELDS, "radio", "vary")]
         rest = [*(f"{name}.*" for name in parts() if name not in known), f"{FIELDS}.*"]

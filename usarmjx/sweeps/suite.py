@@ -166,6 +166,7 @@ def provenance() -> dict[str, Any]:
     return {
         "commit": commit_here(),
         "card": first.device_kind,
+        # Many systems name no processor.
         "processor": platform.processor() or platform.machine(),
         "versions": versions(),
     }

@@ -275,6 +275,7 @@ class Client:
         if unknown:
             self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
         # The known keys of a DRIVE count even if others are wrong.
+        # Normalized values are percent of the largest.
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
         # A flip ends at a step, not at a time: a sum of floats would end it a step early or late.
         flip = round(FLIP_TIME / self._world.period)

@@ -260,6 +260,7 @@ class WorldController:
             box = boxes[loose.local.geom[piece]]
             turn = mat @ loose.local.mat[piece]
             middle = mat @ loose.local.pos[piece] + turn @ box[:3]
+            # The absolute matrix gives the half lengths of a turned box along the world's axes.
             half = np.abs(turn) @ box[3:]
             low, high = np.minimum(low, middle - half), np.maximum(high, middle + half)
         return (high - low).tolist()
@@ -288,6 +289,7 @@ class WorldController:
         if len(world.created) >= MAX_OBJECTS:
             raise PeerError(f"there are {MAX_OBJECTS} objects already")
         x, y, z = flip_wire_vector(command.location or _ORIGIN)
+        # Positions in an arena are above its floor, those on the wire are not.
         place, angles = (x, y, z - world.arena.floor), flip_wire_angles(command.rotation or _ORIGIN)
         if command.start:
             start = start_of(world.arena, command.start)

@@ -148,6 +148,7 @@ class ImageServer:
 
     def tick(self) -> None:
         """Drop clients that do not read, and start or repeat the pictures that are due."""
+        # Wakes all that wait now, and nobody who begins to wait later.
         self._stepped.set()
         self._stepped.clear()
         if not self._clients:

@@ -44,6 +44,7 @@ def draw_overlay(rgb: np.ndarray, depth: np.ndarray, viewpoint: Viewpoint, sketc
     shown = np.asarray(sketch.shown)
     start, end = np.asarray(sketch.start)[shown], np.asarray(sketch.end)[shown]
     colors = np.round(255 * np.asarray(sketch.rgb)[shown]).astype(np.uint8)
+    # A line of no length stands for a ball.
     points = (start == end).all(-1)
     for line in zip(start[~points], end[~points], colors[~points], strict=True):
         _draw_line(rgb, depth, viewpoint, *line)
@@ -63,6 +64,7 @@ def _draw_line(
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length
     foot = float((viewpoint.pos - start) @ along)
+    # A line through the eye has no angles.
     aside = max(float(np.linalg.norm(start + foot * along - viewpoint.pos)), 1e-3)
     # Points at equal angles from the eye, denser than pixels anywhere in the picture.
     first, last = math.atan2(-foot, aside), math.atan2(length - foot, aside)
@@ -120,6 +122,7 @@ def _project_mirror(
     """Project points in the eye's axes by a parabolic mirror; see `cameras.lenses.omni_rays`."""
     along = along - (MIRROR_DISTANCE, 0.0, 0.0)
     away = np.linalg.norm(along, axis=1)
+    # Rounding may bring a cosine above 1.
     angle = np.arccos(np.clip(-along[:, 0] / np.maximum(away, 1e-9), -1.0, 1.0))
     zoom = math.tan(viewpoint.default_fov / 2) / math.tan(viewpoint.fov / 2)
     rim = min(width, height) / 2 * zoom

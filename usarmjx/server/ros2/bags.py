@@ -34,6 +34,7 @@ VERSION = 9
 """Version of `metadata.yaml`: that of Jazzy, Kilted and later."""
 PROFILE, SCHEMA_ENCODING, MESSAGE_ENCODING = "ros2", "ros2msg", "cdr"
 NANO = 10**9
+# The largest int64 of nanoseconds, which stands for infinity in rmw.
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
 SEPARATOR = "=" * 80
 ROS2 = RosVersion.ROS2
@@ -199,6 +200,7 @@ def frames_of(drawing: Drawing, drawn: DrawnRobot) -> list[SensorFrame]:
             body = int(mount.body[index]) - drawn.body
             found.setdefault(title, SensorFrame(title, body, mount.pos[index], mat))
     for body in range(1, drawn.num_bodies):
+        # Bodies of robots are called robot/SLOT/PART.
         part = drawing.bodies[drawn.body + body].name.split("/", 2)[2]
         found.setdefault(part, SensorFrame(part, body, np.zeros(3), np.eye(3)))
     return list(found.values())

@@ -444,6 +444,7 @@ class Ros2Server:
 
     def tick(self) -> None:
         """Carry out what has come, and publish new messages that somebody reads."""
+        # Wakes all that wait now, and nobody who begins to wait later.
         self._stepped.set()
         self._stepped.clear()
         if self._robots is None:
@@ -495,6 +496,7 @@ class Ros2Server:
                 self._published[name] = PublishedTopic(topic, outlet)
 
     def _listen(self, topic: RosTopic) -> list[Closable]:
+        # Later tools of ROS 2 send stamped velocities, others plain ones.
         kinds = (TWIST, TWIST_STAMPED) if topic.type == TWIST else (topic.type,)
         return [
             self._worker.subscribe(topic.name, kind, COMMANDS, partial(self._hear, topic.name, kind))
@@ -506,6 +508,7 @@ class Ros2Server:
         if revision is None or revision == one.revision:
             return
         if topic.make is None:
+            # Times are sums of periods, with rounding errors.
             if self._world.time >= one.due - 1e-6:
                 pictures.append(one)
             return

@@ -125,6 +125,7 @@ class RosRobots:
     def tick(self) -> None:
         """Move the joints of robots that follow trajectories."""
         world = self._server.world
+        # A list, as finished runs are deleted on the way.
         for robot, run in list(self._runs.items()):
             if world.robots.get(robot.slot) is not robot or robot.controller is not None:
                 del self._runs[robot]
@@ -142,6 +143,7 @@ class RosRobots:
         if path is None:
             return
         world = self._server.world
+        # Part 0 is the chassis, which has no joint.
         places = [robot.plan.parts.index(name) - 1 for name in path.joints]
         now = np.asarray(world.state(robot).joint_pos, float)[places]
         self._runs[robot] = TrajectoryRun(path, max(world.time, path.start), now)
@@ -260,6 +262,7 @@ class Parameters:
         owner = full.removesuffix(DESCRIPTION).strip("/") if full.endswith(DESCRIPTION) else None
         if owner is None or not robots:
             return None
+        # Most tools read a bare /robot_description: the first robot's.
         robot = robots.get(owner) if owner else next(iter(robots.values()))
         return None if robot is None else urdf(robot.spec)
 
@@ -465,6 +468,7 @@ class RosApi:
 
     def _get_parameter(self, args: Mapping[str, Any]) -> RosMessage:
         value = self._parameters.get(_text(args, "name"))
+        # rosapi of ROS 1 has `default`, that of ROS 2 `default_value`.
         default = str(args.get("default") or args.get("default_value") or "null")
         return {"value": default if value is None else json.dumps(value), "successful": value is not None}
 
@@ -499,6 +503,7 @@ def _definition(name: str, fields: Mapping[str, str], *, long: bool) -> RosMessa
     for kind in fields.values():
         base, bracket, length = kind.partition("[")
         bases.append(base)
+        # `float64[36]` has a length, `float64[]` any.
         lengths.append(-1 if not bracket else int(length[:-1] or 0))
     return {
         "type": _long_name(name) if long else name,

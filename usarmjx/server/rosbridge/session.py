@@ -89,6 +89,7 @@ def _checked(message: RosMessage) -> tuple[str, str, int, int]:
     name, data, number, total = (message.get(key) for key in ("id", "data", "num", "total"))
     if not (isinstance(name, str) and isinstance(data, str)):
         raise UsageError("a fragment has id and data, texts")
+    # Exact types: a bool is an int for isinstance.
     if type(number) is not int or type(total) is not int or not 0 <= number < total <= MAX_FRAGMENTS:
         raise UsageError(f"a fragment has total, from 1 to {MAX_FRAGMENTS}, and num, from 0 to total - 1")
     return name, data, number, total
@@ -177,6 +178,7 @@ class TopicSubscription:
         whole = self.waiting.popleft()
         sizes = [request.fragment_size for request in self.requests.values() if request.fragment_size]
         size = min(sizes, default=0)
+        # Fragments are JSON, which holds no bytes.
         if isinstance(whole, bytes) or not size:
             return iter((whole,))
         self.sent += 1
@@ -234,6 +236,7 @@ class BridgeSession:
 
     def due_topics(self, now: float) -> Iterator[tuple[str, TopicSubscription]]:
         """Yield the topics whose next message may be sent at a time [s]."""
+        # Times are sums of periods, with rounding errors.
         return ((name, one) for name, one in self.subscriptions.items() if now >= one.due - 1e-6)
 
     def take(self) -> BridgeFrame | None:
@@ -311,6 +314,7 @@ class BridgeSession:
             self.status("warning", f"{clip(topic)} was not subscribed", message.get("id"))
             return
         one.requests.pop(str(message.get("id", "")), None)
+        # Without an id all subscriptions to the topic end, as in rosbridge.
         if "id" not in message or not one.requests:
             del self.subscriptions[topic]
 
@@ -363,6 +367,7 @@ def _request(message: RosMessage) -> SubscriptionRequest:
     size = 0 if message.get("fragment_size") is None else int(_number(message, "fragment_size"))
     if 0 < size < SHORTEST_FRAGMENT:
         raise UsageError(f"fragment_size is {size}, expected 0 or at least {SHORTEST_FRAGMENT}")
+    # throttle_rate is in milliseconds.
     pause, length = _number(message, "throttle_rate") / 1000, int(_number(message, "queue_length"))
     return SubscriptionRequest(pause, length, size, Compression(compression))
 

@@ -119,6 +119,7 @@ def scan_points(scan: RosMessage) -> RosMessage:
     ranges = np.asarray(scan["ranges"], float)
     angles = scan["angle_min"] + np.arange(len(ranges)) * scan["angle_increment"]
     points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))], -1)
+    # Little-endian on any machine, as is_bigendian says.
     points = points[ranges < scan["range_max"]].astype("<f4")
     step = points.itemsize * 3
     return {
@@ -299,11 +300,13 @@ def pinhole_info(
     # half its side.
     across, down = (width - 1) / 2, (height - 1) / 2
     lens = {
+        # plumb_bob has five numbers: radial, radial, two tangential, radial.
         "d": [*distortion, 0.0, 0.0, 0.0],
         "k": [focal, 0.0, across, 0.0, focal, down, 0.0, 0.0, 1.0],
         "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         "p": [focal, 0.0, across, 0.0, 0.0, focal, down, 0.0, 0.0, 0.0, 1.0, 0.0],
     }
+    # ROS 1 spells them D, K, R and P.
     if version == RosVersion.ROS1:
         lens = {name.upper(): values for name, values in lens.items()}
     return {
@@ -492,6 +495,7 @@ class WorldTopics:
         yield RosTopic(
             f"/{name}/robot_description",
             "std_msgs/String",
+            # A robot that gets another description gets another suite.
             lambda: id(robot.suite),
             lambda version: {"data": urdf(robot.spec)},
             is_latched=True,
@@ -531,6 +535,7 @@ class WorldTopics:
     def _of_camera(self, robot: Robot, index: int) -> Iterator[RosTopic]:
         camera, name = robot.cameras[index], self._names[robot.slot]
         where = f"/{name}/{motion.frame_name(camera.mount.name)}"
+        # Names of image_transport, for which viewers look.
         for below, kind in (("compressed", IMAGE), ("image_raw", RAW_IMAGE)):
             yield RosTopic(f"{where}/{below}", kind, self._tick, robot=robot, camera=index)
 
@@ -582,6 +587,7 @@ class WorldTopics:
         return {"transforms": transforms}
 
     def _frames(self, version: RosVersion, robot: Robot, *, moving: bool) -> Iterator[RosMessage]:
+        # Body 0 is the chassis.
         frames = [frame for frame in self._mounted[robot.slot] if bool(frame.body) == moving]
         if not frames:
             return iter(())
@@ -630,6 +636,7 @@ def picture_messages(
     """
     made: dict[PictureRequest, BridgeFrame] = {}
     for one in asked:
+        # Clients that ask for the same share one encoding.
         if one not in made:
             topic, version, compression = one
             message = picture_message(topic, version, time, pictures[views[topic]])

@@ -171,6 +171,7 @@ def _edit_robots(world: ServedWorld, robots: Sequence[Robot], parameters: Mappin
         return "\n".join(_robot_line(world, robot) for robot in robots)
     values = {_parameter(key): value for key, value in parameters.items()}
     numbers = {key: _in_limits(key, value) for key, value in values.items()}
+    # All descriptions before the first change: a refusal leaves all robots as they are.
     specs = {robot: _with_parameters(robot, numbers) for robot in robots}
     _redescribe(world, specs)
     for robot in robots:
@@ -218,6 +219,7 @@ def _with_parameters(robot: Robot, numbers: Mapping[str, float]) -> RobotSpec:
 
 def _has_effect(spec: RobotSpec, key: str) -> bool:
     set_to = SETTERS[key][1]
+    # A parameter that no joint has makes equal descriptions of two values.
     low, high = PARAMETERS[key]
     return set_to(spec, low or high) != set_to(spec, high / 2)
 
@@ -225,6 +227,7 @@ def _has_effect(spec: RobotSpec, key: str) -> bool:
 def _charge(world: ServedWorld, robot: Robot, left: float) -> None:
     """Set the remaining time of a robot's battery [s]; a robot that water has stopped works again."""
     now = int(world.one_world()[0].step)
+    # Limited, as `battery_start` is an int32.
     used = round(min((robot.spec.battery_life - left) / world.period, MOST_STEPS))
     world.edit(robot, battery_start=np.int32(now - used), drowned=False)
     robot.drowned = False
@@ -453,6 +456,7 @@ class SpectatorConsole:
         if head.lower() not in self._commands:
             raise UsageError(f"no command {clip(head)}; known: {', '.join(self._commands)}")
         command, _ = self._commands[head.lower()]
+        # All others change worlds, or show the server's log.
         if not self._trusted and command not in (self._show_debug, self._help):
             raise UsageError(f"{head.lower()}: {self._refusal}")
         return command(words)

@@ -105,6 +105,7 @@ class ObjectMotion:
 def angles_along(vector: np.ndarray) -> np.ndarray:
     """Return roll, pitch and yaw of an object that points along a vector (3,) [rad] (3,)."""
     x, y, z = vector
+    # With y to the left, a positive pitch lowers the front.
     return np.array([0.0, -math.atan2(z, math.hypot(x, y)), math.atan2(y, x)])
 
 

@@ -58,6 +58,7 @@ class RobotTrace:
 
     def due(self, time: float) -> bool:
         """Whether a point is due."""
+        # Times are sums of periods, with rounding errors.
         return self.command.on and time >= self.next - 1e-6
 
 
