@@ -158,6 +158,7 @@ def stack_actions(
             if grids is None
             else {name: grids[g].chosen(actions[name], xp) for name in group.agents if name in actions}
         )
+        # Robots that take no part have no action: they do nothing.
         rows = [xp.asarray(known_rows.get(name, nothing), xp.float32) for name in group.agents]
         for name, row in zip(group.agents, rows, strict=True):
             if row.shape != (group.action_size,):

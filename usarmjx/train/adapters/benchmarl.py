@@ -38,9 +38,11 @@ class BenchmarlTask(TaskClass):
 
     def __init__(self, name: str, config: Mapping[str, Any] | None = None) -> None:
         name, settings = newest_name(name), dict(config or {})
+        # BenchMARL uses the name for files.
         filed = name.replace("/", "_").replace(":", "_")
         super().__init__(name=filed, config=settings)  # pyright: ignore[reportUnknownMemberType]
         self._task = name
+        # Refuses wrong settings now, not when an experiment begins.
         self._worlds_settings()
 
     def _worlds_settings(self) -> tuple[str, int, dict[str, Any]]:

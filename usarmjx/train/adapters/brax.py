@@ -64,6 +64,7 @@ class BatchedRobots(BraxEnv):
             rng: One key for all; of several (n,) the first counts.
         """
         key: jax.Array = rng
+        # Brax hands out keys of JAX's earlier kind, which are plain numbers.
         if not jnp.issubdtype(rng.dtype, jax.dtypes.prng_key):
             key = cast(Any, jax.random).wrap_key_data(rng)  # whose result jax leaves without a type
         seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MAX_SEED)
@@ -98,6 +99,7 @@ class BatchedRobots(BraxEnv):
             metrics={name: self._spread(value) for name, value in now.metrics.items()},
             info={
                 **({} if now.alive is None else {"alive": now.alive[0].reshape(-1).astype(jnp.float32)}),
+                # A fault cuts off: learners go on with the expected return.
                 "truncation": self._spread(now.truncated | now.bad),
                 "steps": self._spread(now.length),
                 "final_obs": self._rows(now.final_obs[0]),

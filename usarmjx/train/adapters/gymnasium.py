@@ -140,6 +140,7 @@ class TeamWorld(gymnasium.Env[np.ndarray, Any]):
         self._over = bool(ended[0] or late[0])
         # The score of a finished episode stands in `final_info` only.
         told = {**infos, **infos["final_info"]} if self._over else infos
+        # Masks, and what ends a vector's episodes, mean nothing for one world.
         info = {name: told[name][0] for name in told if not name.startswith(("_", "final_"))}
         return obs[0], float(reward[0]), bool(ended[0]), bool(late[0]), info
 

@@ -81,6 +81,7 @@ class BaselinesWorlds(VecEnv):
         """
         obs, reward, ended, late, infos = self.worlds.step(self._actions)
         told = [self._info(infos, late, i) for i in range(self.num_envs)]
+        # Its buffers have rewards in single precision.
         return obs, reward.astype(np.float32), ended | late, told
 
     @staticmethod

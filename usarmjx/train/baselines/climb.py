@@ -1,4 +1,4 @@
-"""Up the stairs by hand: straight on, front flippers up to the first edge, then all flat."""
+"""Baseline of stairs: straight on, front flippers up to the first edge, then all flat."""
 
 import math
 

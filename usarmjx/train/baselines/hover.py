@@ -1,4 +1,4 @@
-"""Inspection by hand: square up to the window, fly through it, turn to the point and hover before it."""
+"""Baseline of inspections: square up to the window, fly through it, turn to the point and hover before it."""
 
 import jax
 import jax.numpy as jnp

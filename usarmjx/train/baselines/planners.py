@@ -169,7 +169,9 @@ def relay_policy(env: Env) -> Policy:
 
 def _chained(seen: jax.Array, robots: int, steps: int) -> jax.Array:
     action = frontier_action(seen, steps)
+    # A robot observes its slot as a share of the team.
     slot = jnp.round(seen[..., 7 + SECTOR_COUNT] * robots).astype(jnp.int32)
+    # The last numbers are the powers of all others, and before them the age of the contact.
     powers = seen[..., -(robots - 1) :]
     # Powers are of the other robots in order, so the one before has this slot less 1.
     before = jnp.take_along_axis(powers, slot[..., None] - 1, -1)[..., 0]

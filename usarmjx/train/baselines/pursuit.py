@@ -1,4 +1,4 @@
-"""A convoy by hand: pure pursuit of a point of the lane ahead, and a constant time behind the car ahead."""
+"""Baseline of convoys: pure pursuit of a point of the lane ahead, at a constant time behind the next car."""
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ def pursuit_action(seen: jax.Array, task: Convoy) -> jax.Array:
     points = RANGE_SCALE * seen[5 : 5 + 2 * len(AHEAD)].reshape(-1, 2)
     goal = _between(points, LOOKAHEAD[0] + LOOKAHEAD[1] * speed)
     # The circle through the rear axle, along the car's heading there, and the point.
+    # A point at the axle has no circle.
     bend = 2.0 * goal[1] / jnp.maximum((goal**2).sum(), 1e-3)
     steer = jnp.arctan(car.wheel_base * bend) / car.drive.max_front_steer
     gap = _gap(RANGE_SCALE * seen[5 + 2 * len(AHEAD) :], points, car.dimensions[0] / 2 + car.wheel_base / 2)
@@ -46,6 +47,7 @@ def _gap(scan: jax.Array, points: jax.Array, front: float) -> jax.Array:
     x = jnp.arange(0.0, AHEAD[-1], 0.5)
     lane = jnp.stack([jnp.interp(x, np.array(AHEAD), points[:, i]) for i in range(2)], -1)
     aside = jnp.linalg.norm(hit[:, None] - lane, axis=-1).min(-1)
+    # A beam without an echo has the longest range, but for rounding.
     return jnp.where((aside < LANE) & (scan < 0.999 * RANGE_SCALE), scan, RANGE_SCALE).min()
 
 

@@ -1,4 +1,4 @@
-"""Soccer by hand, see `tasks.soccer_play`."""
+"""Baseline of soccer, see `tasks.soccer_play`."""
 
 import jax
 
