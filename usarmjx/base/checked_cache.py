@@ -175,6 +175,7 @@ def _is_alive(process: int) -> bool:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
+    # It runs, but as another user.
     except OSError:
         return True
     return True

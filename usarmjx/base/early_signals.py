@@ -23,6 +23,7 @@ def is_command() -> bool:
     """
     first = getattr(sys, "argv", [""])[0]
     words = sys.orig_argv
+    # `-m` stands there until Python has found the module.
     if first == "-m":
         return ("-m", COMMAND) in pairwise(words)
     return first in words and os.path.splitext(os.path.basename(first))[0] == COMMAND
@@ -31,6 +32,7 @@ def is_command() -> bool:
 def end_early(number: int, frame: FrameType | None) -> None:
     """Write a line and end the process, with the status that shells give for the signal."""
     del frame
+    # Neither buffers nor handlers of the exit: the signal may come in the middle of an import.
     os.write(2, f"usarmjx: stopped by {signal.Signals(number).name}\n".encode())
     os._exit(128 + number)
 

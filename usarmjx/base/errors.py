@@ -126,6 +126,7 @@ class extra:
         """
         self._quiet.__exit__(None, None, None)
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        # A module of our own that is missing is a fault of ours, which no extra mends.
         if missing and missing.partition(".")[0] != "usarmjx":
             from usarmjx.base.installation import install_command
 

@@ -383,6 +383,7 @@ def estimate_groups(
     rest = values - (np.bincount(level, values) / np.bincount(level))[level]
     sums = np.bincount(index, rest)
     return crossed_estimate(
+        # So scaled that the plain mean over groups of any size is that of the values.
         middle + sums * there / len(values),
         [even("buildings", there, int(level.max()) + 1)],
         len(values),

@@ -268,6 +268,7 @@ def docstring_entries(kind: type) -> dict[str, str]:
         for line in text.partition("Attributes:\n")[2].splitlines():
             if line and not line.startswith("    "):
                 break
+            # A line that is indented further goes on with the entry before it.
             entry = _ENTRY.fullmatch(line[4:]) if line[4:5].strip() else None
             names = entry[1].split(", ") if entry else names
             more = {name: entry[2] if entry else f"{found[name]} {line.strip()}" for name in names}

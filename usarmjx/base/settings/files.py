@@ -102,6 +102,7 @@ def read_bytes(path: Path, most: int = MAX_FILE_BYTES, refusal: type[UsageError]
         if not path.is_file():
             raise refusal(f"{path}: cannot be read: it is no plain file")
         with path.open("rb") as file:
+            # No more than that: the file may have grown since.
             return file.read(most)
     except OSError as error:
         raise refusal(f"{path}: cannot be read: {error.strerror or error}") from error

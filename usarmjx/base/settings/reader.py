@@ -589,6 +589,7 @@ def _number_reader(note: Setting, *, single: bool) -> Callable[[object], object]
         if isinstance(value, str):
             value = parse_number(value, note.unit, unit_needed=not isinstance(value, Text))
         if isinstance(value, int) and not isinstance(value, bool):
+            # `float` refuses integers beyond its range: from here on they count as infinite.
             value = float(value) if abs(value) < LARGEST_WHOLE**2 else math.inf if value > 0 else -math.inf
         if isinstance(value, float):
             if math.isnan(value) or (note.finite and math.isinf(value)):
@@ -627,6 +628,7 @@ def _choice_reader(hint: Any, note: Setting) -> Callable[[object], object]:  # n
         plain, expects = _plain(value), expectation(hint, note)
         known = _known(hint, note)
         for one in known.values():
+            # By type, too: True equals 1.
             if type(plain) is type(one) and plain == one:
                 return one
         if isinstance(plain, str):

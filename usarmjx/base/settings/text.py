@@ -70,10 +70,12 @@ def parse_number(text: str, unit: str = "", *, unit_needed: bool = False) -> flo
     found = _NUMBER.fullmatch(text.strip()) if len(text) <= LONGEST_NUMBER else None
     if found is None:
         return None
+    # YAML writes infinity and NaN with a dot before, Python without.
     digits, named = found[1].lower().replace("_", "").replace(".inf", "inf").replace(".nan", "nan"), found[2]
     factors = {"": 1.0, unit: 1.0, **UNITS.get(unit, {})}
     if named not in factors or (unit_needed and not named and "inf" not in digits):
         return None
+    # Whole numbers stay exact at any length.
     plain = int(digits) if digits.lstrip("+-").isdigit() else float(digits)
     return plain if factors[named] == 1.0 else plain * factors[named]
 

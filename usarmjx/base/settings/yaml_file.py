@@ -115,6 +115,7 @@ class _NodeReader:
         except Exception as error:  # PyYAML raises whatever a wrong date, number or tag makes it run into
             tag = node.tag.rpartition(":")[2][-MAX_QUOTED:]
             raise self._refusal(f"{where}: {node.value[:MAX_QUOTED]!r} is no {tag}: {error}") from error
+        # PyYAML makes objects of dates; here they stay words.
         return data if isinstance(data, (str, int, float)) or data is None else str(node.value)
 
     def _pairs(self, node: yaml.MappingNode) -> dict[str, yaml.Node]:

@@ -681,6 +681,7 @@ class ConsoleApp(App[str]):
             return
         if not known.robot:
             self.say("whose picture? say {Name ...} in INIT")
+            # Said once: below 0 each message would ask again.
             self._viewed = 0
             return
         names = list(known.fovs)

@@ -206,6 +206,7 @@ def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
     # So high that random commands for the whole drive reach no ground.
     starts = tuple(replace(start, at=(*start.at[:2], HIGH_UP)) for start in floor.starts)
     far = 10 * HIGH_UP
+    # Its surface lies `DEEP_DOWN` above the starts.
     water = Water(low=(-far, -far, 0.0), high=(far, far, HIGH_UP + DEEP_DOWN))
     return replace(floor, starts=starts, waters=(water,) if name == "water" else ())
 

@@ -411,11 +411,13 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     # All are found before any world is built, which takes long: a wrong name fails at once.
     named = {team: find_team(team) for team in chosen}
     for team, (change, driver) in named.items():
+        # The user's own advice counts for more than what a policy was trained with.
         own = task if not named_team(team) and "advice" in overrides else change(task)
         if own not in envs:
             envs[own] = build_env(own, played, name=name, engine=engine)
         try:
             ready.append((team, own, driver(envs[own])))
+        # Usual teams need not fit a changed task; those that the user names must.
         except UsageError as error:
             if teams is not None:
                 raise

@@ -178,6 +178,7 @@ class Rivals:
             worlds: Numbers of the worlds (worlds,).
         """
         seen, policy = obs[:, self.rows], self._policy
+        # Of no numbers: `Config` refuses a league of networks with a memory.
         carry = (jnp.zeros((*seen.shape[:2], 0)),)
         keys = fold_each(key, worlds)
 
@@ -249,6 +250,7 @@ def update_league(
     all_ratings = jnp.concatenate([league.ratings, jnp.full(1, FIRST_RATING)])
     surprise = points - games * expected_result(league.rating, all_ratings)
     rating = league.rating + RATING_STEP * surprise.sum() / jnp.maximum(games.sum(), 1.0)
+    # The baseline's stays: the others are measured by it.
     ratings = league.ratings - RATING_STEP * (surprise / jnp.maximum(games, 1.0))[:-1]
     league = league.replace(rating=rating, ratings=ratings, **totals)
     past = games[:-1].sum()

@@ -128,6 +128,7 @@ def update_statistics(statistics: Statistics, values: jax.Array, valid: jax.Arra
     weights = valid.astype(jnp.float32)
     updated = library.update(
         state,
+        # A weight of 0 does not help: 0 times NaN is NaN.
         jnp.where(mask & jnp.isfinite(values), values, statistics.mean),
         weights=weights,
         std_min_value=MIN_DEVIATION,
@@ -378,6 +379,7 @@ def _gradients_sequentially(
         gradient, own, update, is_first = now
         # The output's gradient and what flows back from the next step meet in the carry.
         gradient = gradient + next_gradient
+        # No gradient crosses the start of an episode, where the carry is set to 0.
         return _reset(is_first, (jnp.tile(gradient, 3) * own) @ weights.T + gradient * update), gradient
 
     return jax.lax.scan(

@@ -247,6 +247,7 @@ def compute_targets(
         # Over the whole batch of all processes: neither minibatches nor processes change the advantages.
         mean = _total(jnp.where(valid, advantage, 0.0)) / count
         deviation = jnp.sqrt(_total(jnp.where(valid, (advantage - mean) ** 2, 0.0)) / count)
+        # Equal advantages deviate by 0.
         normal.append(jnp.where(valid, (advantage - mean) / (deviation + 1e-8), 0.0))
         returns.append(advantage + trajectory.value[g])
         # The statistics of the rollout, in which its values were predicted; they are updated after the
@@ -391,6 +392,7 @@ def run_epochs(
         )
         # Sums cross, not means: the processes' numbers of good steps differ.
         gradient, sums = jax.lax.psum((gradient, sums), PROCESS_AXIS)
+        # All steps of a minibatch may be bad.
         weight = jnp.maximum(sums.pop("weight"), 1.0)
         gradient, stats = jax.tree.map(lambda one: one / weight, (gradient, sums))
         norm = optax.tree.norm(gradient)

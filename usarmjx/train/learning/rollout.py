@@ -179,6 +179,7 @@ class Rollout:
     def _seeds(self) -> tuple[Any, jax.Array]:
         """Return what the worlds' first reset takes as a seed, and the key of the first episodes' lengths."""
         seed = self.config.seed
+        # A seed within 32 bits goes as a plain number, a longer one only as a key.
         given = random.key(seed) if seed >> 32 else np.uint32(seed)
         return given, jax.random.fold_in(random.key(seed), STAGGER_STREAM)
 
@@ -363,6 +364,7 @@ class Rollout:
             teacher = reset_carry(self.teacher, teacher, done)
         policy, critic = reset(decision.policy_carry, done), reset(decision.critic_carry, done)
         if before.alive is not None and after.alive is not None:
+            # Who drops out or joins within an episode begins without memory.
             through = tuple(a & b for a, b in zip(before.alive, after.alive, strict=True))
             policy, critic = (self.networks.policy.reset_agents(one, through) for one in (policy, critic))
         return policy, critic, teacher

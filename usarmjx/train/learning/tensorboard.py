@@ -54,6 +54,7 @@ class TensorBoardLog(AppendedFile):
             WriteError: Nothing was written; it waits.
         """
         width, height = struct.unpack("<HH", gif[6:10])  # of the logical screen
+        # A colorspace of 3 is RGB.
         picture = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
         summary = Summary(value=[Summary.Value(tag=name, image=picture)])
         self.append(_framed(Event(step=agent_steps, wall_time=time.time(), summary=summary)))

@@ -77,6 +77,7 @@ class StopRequest:
 
     def arm(self) -> None:
         """Catch signals from now on, except those that are ignored, as under `nohup`."""
+        # Python lets only its main thread catch signals.
         if self._before or self.number or threading.current_thread() is not threading.main_thread():
             return
         if self._on_arm is not None:
@@ -161,6 +162,7 @@ def _recent_records(folders: Sequence[Path], done: int, count: int) -> deque[Rec
     """
     runs = [read_lines(folder / "metrics.jsonl") for folder in folders] if done else []
     kept = [[line for line in run if done - count < line["iteration"] <= done] for run in runs]
+    # Logs may differ in length: a kill may come after the line of one and before that of the next.
     return deque(map(list, zip(*kept, strict=False)), maxlen=count)
 
 

@@ -153,6 +153,7 @@ def _classify_squares(
     one, two = ranges[first], ranges[second]
     share = jnp.clip(place - first, 0.0, 1.0) * step
     # The polar equation of the straight line through the ends of both beams.
+    # A range of 0 has no inverse.
     flat = math.sin(step) / (
         jnp.sin(step - share) / jnp.maximum(one, 1e-3) + jnp.sin(share) / jnp.maximum(two, 1e-3)
     )
@@ -163,6 +164,7 @@ def _classify_squares(
     end, half = jnp.where(smooth, flat, near), grid.cell / 2
     wall = seen & (end < scanner.max_range) & (jnp.abs(distance - end) <= half)
     free = seen & (distance < jnp.where(smooth, flat, jnp.minimum(one, two)) - half)
+    # A robot stands there itself, so no wall does.
     free = free | (distance < 1.5 * grid.cell)
     return free, wall & ~free
 

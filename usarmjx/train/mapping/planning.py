@@ -184,6 +184,7 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, first: 
     crowd = jnp.where(known & first, jnp.clip(1 - gap / SHARED_GOAL_RADIUS, 0.0, 1.0), 0.0).sum(0)
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
     ahead = (grid.centres[..., 0] - pose[0]) * cos + (grid.centres[..., 1] - pose[1]) * sin
+    # On its own square a robot has no direction.
     turn = 1 - ahead / jnp.maximum(mine, 1e-3)
     return NEARER_ROBOT_COST * rank + SHARED_GOAL_COST * crowd + TURN_COST * turn / 2
 
@@ -287,8 +288,10 @@ def box_sum(values: Array, radius: int) -> jax.Array:
 
 def open_squares(grid: MapGrid, squares: Array, pose: Array, blocked: Array | bool) -> jax.Array:
     """Return which squares a robot at a pose (3,) drives through: free ones that are not blocked (i, j)."""
+    # The robot's surroundings stay open: another one next to it must not wall it in.
     free = (squares == FREE) & ~(blocked & (grid.gaps(pose[:2]) > grid.cell))
     here = grid.index(pose[:2])
+    # Its own square, too, whatever the map says: a way could not end there.
     return free.at[here[0], here[1]].set(True)
 
 
@@ -301,6 +304,7 @@ def block_minima(costs: Array, count: int) -> tuple[jax.Array, jax.Array]:
     """
     rows, columns = costs.shape
     missing = ((0, -rows % BLOCK), (0, -columns % BLOCK))
+    # Whole blocks: what is added is reached by nobody.
     whole = jnp.pad(costs, missing, constant_values=UNREACHABLE)  # pyright: ignore[reportUnknownMemberType]
     down, across = whole.shape[0] // BLOCK, whole.shape[1] // BLOCK
     blocks = whole.reshape(down, BLOCK, across, BLOCK).swapaxes(1, 2).reshape(down * across, -1)
@@ -313,6 +317,7 @@ def block_minima(costs: Array, count: int) -> tuple[jax.Array, jax.Array]:
     square = jnp.stack(
         [block // across * BLOCK + inside[block] // BLOCK, block % across * BLOCK + inside[block] % BLOCK], -1
     )
+    # A goal that a small map lacks is of a block beyond the map.
     return jnp.minimum(square, jnp.array(costs.shape) - 1), -found
 
 

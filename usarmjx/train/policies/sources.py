@@ -217,6 +217,7 @@ class PolicySource:
         # any size.
         mine, theirs = _shapes(policy.groups), _shapes(env.groups)
         task = getattr(env, "task", None)
+        # Trained without messages: the fixed protocol chooses these.
         if isinstance(task, GoalTeam) and task.chooses_messages and mine == _without_messages(task, theirs):
             return with_given_messages(task, policy.as_policy(params))
         if mine != theirs:

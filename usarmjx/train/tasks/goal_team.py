@@ -229,6 +229,8 @@ class GoalTeam(TeamTask):
         del scene
         if not self.discrete:
             return None
+        # Base, others, to stay and frontiers; then silence, letters and vectors: a network tells them apart
+        # by these.
         kinds = (0, 1, 3, *(2,) * FRONTIERS) if self.holds else (0, *(1,) * MATES, *(2,) * FRONTIERS)
         silent = max(kinds) + 1
         sends = (silent, *(silent + 1,) * (messages.OPTIONS - 1)) if self.chooses_messages else ()
@@ -678,6 +680,7 @@ class GoalTeam(TeamTask):
             offered, mates = self.message_choices(view, memory)
             state = self.message_state(memory)
             rows.append(messages.option_features(state, offered, belief, linked, base, mates))
+            # Of the choice that comes next: messages up to half way, then goals.
             since = memory.step % self.hold
             sends = (since > 0) & (since <= self.hold // 2)
             mask = [extra.goals.valid & ~sends, offered.valid & sends]

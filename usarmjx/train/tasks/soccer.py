@@ -115,6 +115,7 @@ def find_ball(pose: jax.Array, low: jax.Array, high: jax.Array) -> tuple[jax.Arr
     along = _directions(pose)
     rise, flat = low * along[:, 2], jnp.linalg.norm(along[:, :2], axis=-1)
     upper = UPPER_SCANNER_HEIGHT + rise
+    # The lower beam clears the floor, the upper one passes over balls but meets the covers of robots.
     level = (LOWER_SCANNER_HEIGHT + rise > FLOOR_MARGIN) & (upper > 2 * BALL_RADIUS) & (upper < COVER[1])
     middle = pose[:2] + (low * flat + BALL_RADIUS)[:, None] * along[:, :2] / flat[:, None]
     met = (high > low + MIN_RANGE_GAP) & level & (depth_inside(middle) > BALL_RADIUS / 2)
