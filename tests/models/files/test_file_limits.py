@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.settings import yaml_file
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.files import mjcf, reader_child
+from usarmjx.models.files import mjcf, reader_child, stage
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.reader_process import ReaderProcess
 from usarmjx.models.files.robot_file import robot_from_mjcf
@@ -407,3 +407,18 @@ def test_names_of_objects_need_not_be_utf_8(tmp_path):
     box = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     (shape,) = load_arena(write(tmp_path / "a.obj", b"o t\xfcr\n" + box.encode())).shapes
     assert len(shape.mesh.vertices) == 4
+
+
+def test_includes_of_a_world_file_are_counted_as_often_as_they_are_included(tmp_path):
+    for number in range(40):
+        again = f'include "{number + 1}.inc"\n'
+        write(tmp_path / f"{number}.inc", 2 * again)
+    write(tmp_path / "40.inc", "")
+    write(tmp_path / "a.world", 'include "0.inc"')
+    refused(tmp_path / "a.world", r"\d+\.inc: more than 1000 files with all that is included")
+
+
+def test_words_of_a_world_file_are_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr(stage, "MAX_STAGE_TOKENS", 4)
+    assert load_arena(write(tmp_path / "fits.world", "model ( )")).shapes
+    refused(write(tmp_path / "a.world", "model (\nsize [1 1 1] )"), r"a\.world:2: more than 4 words")

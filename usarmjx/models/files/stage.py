@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,8 @@ READ_OF_MODELS = (
 """Properties of a solid that are read, besides those of blocks."""
 LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ANGLE_UNITS = {"degrees": math.pi / 180, "radians": 1.0}
+MAX_STAGE_FILES = 1000
+"""Largest number of files, those of includes as often as they are included."""
 MAX_STAGE_STARTS = 256
 """Largest number of robots."""
 
@@ -188,7 +191,11 @@ class _Parser:
     """
 
     def __init__(self, path: Path) -> None:
-        self._tokens = [*self._read(path, ())]
+        self._files = 0
+        # One more than is allowed is enough to tell.
+        self._tokens = [*islice(self._read(path, ()), MAX_STAGE_TOKENS + 1)]
+        if len(self._tokens) > MAX_STAGE_TOKENS:
+            raise self._tokens[-1].error(f"more than {MAX_STAGE_TOKENS} words")
         self._next = 0
         self._definitions: dict[str, _Definition] = {}
         self._models = 0
@@ -197,6 +204,10 @@ class _Parser:
         """Yield the tokens of a file, with those of a file in the place of its `include`."""
         if path.resolve() in above or len(above) > MAX_STAGE_DEPTH:
             raise ArenaFileError(f"{path} includes itself")
+        # A few files, each of which includes the next one twice, stand for millions.
+        self._files += 1
+        if self._files > MAX_STAGE_FILES:
+            raise ArenaFileError(f"{path}: more than {MAX_STAGE_FILES} files with all that is included")
         # Never fails: old files have names in any code page, and only quoted texts and comments have such
         # letters.
         text = read_bytes(path, refusal=ArenaFileError).decode("latin-1")
@@ -218,8 +229,6 @@ class _Parser:
             raise include.error("include: expected a file name in quotes")
 
     def _take(self) -> StageToken | None:
-        if self._next > MAX_STAGE_TOKENS:
-            raise self._tokens[self._next].error(f"more than {MAX_STAGE_TOKENS} words")
         token = self._tokens[self._next] if self._next < len(self._tokens) else None
         self._next += 1
         return token
