@@ -191,6 +191,7 @@ class ArenaProbe:
                 one[: len(LOOSE_PREFIX)],
                 other[: len(LOOSE_PREFIX)],
             ):
+                # The loose object first: it is the one that the sentence is about.
                 pair = sorted((one, other), key=lambda name: not name.startswith(LOOSE_PREFIX))
                 first, second = (solid_name(self._arena, name) for name in pair)
                 yield f"{first} lies {depth:.3f} m deep in {second}"
@@ -342,6 +343,7 @@ class BodyProbe:
         floor = self._arena.floor
         for part in parts:
             x, y, z = (float(v) for v in self._data.geom_xpos[part])
+            # Half the height of the turned box.
             half = float(np.abs(self._data.geom_xmat[part].reshape(3, 3)[2]) @ self._model.geom_size[part])
             under = ground.below((x, y, z))
             gaps.append(math.inf if under is None else z - half - under)
@@ -393,6 +395,7 @@ class BodyProbe:
             apart = np.linalg.norm(data.geom_xpos[solid] - data.geom_xpos[geom])
             if apart > model.geom_rbound[solid] + model.geom_rbound[geom]:
                 continue
+            # With a limit of 0 the result is 0 for solids that are apart: only depths count here.
             best = max(best, (-mujoco.mj_geomDistance(model, data, geom, solid, 0.0, None), solid))
         return best
 

@@ -188,10 +188,12 @@ class Trial:
     def _steer(self, offset: np.ndarray, mat: np.ndarray) -> None:
         """Head for a point that lies `offset` [m] (2,), slower ahead the sharper the turn."""
         forward = mat[:2, 0]
+        # The signed angle, by cross and scalar product: no difference of angles has to be wrapped.
         error = math.atan2(forward[0] * offset[1] - forward[1] * offset[0], float(forward @ offset))
         turn = max(-1.0, min(1.0, STEERING_GAIN * error))
         # Far off its heading it turns on the spot: driving ahead would lead away from the path.
         ahead = max(0.0, 1.0 - abs(turn) / 2) if abs(error) < math.pi / 3 else 0.0
+        # The height of the nose over its length is the sine of the pitch.
         self.command(ahead, turn, math.asin(max(-1.0, min(1.0, float(mat[2, 0])))))
 
     def stop(self) -> None:
@@ -279,6 +281,7 @@ def run_lane(
         if not run.fault:
             traverses, end = traverses + 1, 1 - end
             continue
+        # The end of the time is no fault of the robot.
         if remaining <= 0:
             break
         faults.append(run.fault)
@@ -413,6 +416,7 @@ def _measured_before(path: Path) -> dict[str, Any]:
     """
     content = as_mapping(read_json(path, UsageError, finite=True)) or {}
     held = as_mapping(content.get("classes"))
+    # None, in the place of classes that are missing, fails the test below.
     for kinds in [None] if held is None else held.values():
         curves = as_mapping(kinds)
         if curves is None or not all(_is_curve(curve) for curve in curves.values()):

@@ -350,6 +350,7 @@ class YieldingSkidSteer(SkidSteer):
         wanted = difference * (self.radius / self.lever)
         # Friction does not depend on speed; close to standstill its direction would change at every step.
         torque = self.ease * (wanted / (xp.abs(wanted) + YIELD_RATE) + (wanted - rate) / EASE_BAND)
+        # Times the sign, a torque with the wheels is positive, and the limits cut off what is against them.
         return xp.sign(wanted) * xp.clip(torque * xp.sign(wanted), 0.0, MAX_EASE * self.ease)
 
 

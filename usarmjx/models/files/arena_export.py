@@ -370,6 +370,7 @@ def _add_sdf_link(model: ET.Element, link: ArenaLink, pose: Pose, meshes: MeshFi
             if role == "visual":
                 material = ET.SubElement(solid, "material")
                 for tag in ("ambient", "diffuse"):
+                    # SDF has the transparency as an element of its own.
                     add_child(material, tag, (*shape.rgba[:3], 1))
                 add_child(solid, "transparency", 1 - shape.rgba[3])
 
@@ -418,6 +419,7 @@ def export_arena(arena: ArenaSpec, path: Path) -> ExportResult:
     form = check_suffix(path)
     if form == "mjcf":
         spec = new_spec(arena, Physics())
+        # `to_xml` needs a compiled description.
         spec.compile()
         write_file(path, spec.to_xml().encode())
         return ExportResult(files=(path,), notes=())

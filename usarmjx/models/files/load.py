@@ -227,6 +227,7 @@ def _xml(path: Path, resources: Resources) -> Content:
     root = root_tag(read_bytes(path, refusal=ArenaFileError))
     if root == "robot":
         return urdf_content(path, resources=resources)
+    # A .world file of any other root goes to Gazebo's reader, which names what is wrong with it.
     is_sdf = root in SDF_ROOTS or (path.suffix.lower() == ".world" and root != "mujoco")
     return sdf_content(path, resources=resources) if is_sdf else mjcf_content(path)
 

@@ -537,6 +537,7 @@ def read_grid_map(path: Path) -> GridMap:
         raise ArenaFileError(f"{path}:{row + 1 + first}: no cell is {letter!r}; allowed: {allowed}")
     end = row + height
     behind = next((number for number, line in enumerate(lines[end:], end + 1) if line.strip()), 0)
+    # The last line of the file is the lowest row.
     return GridMap(letters[::-1], path, row + 1, behind)
 
 

@@ -93,6 +93,7 @@ def _check_obj(path: Path, data: bytes) -> None:
             faces += 1
             if len(words) < 4:
                 raise mesh_error(path, f"a face with {len(words) - 1} corners; a face has at least 3", number)
+            # Negative, so that of equal indices the first line is named.
             highest = max(highest, (max(_index(path, word, number) for word in words[1:]), -number))
     if not faces:
         raise mesh_error(path, "it has no faces")

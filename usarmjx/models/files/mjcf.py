@@ -411,6 +411,7 @@ class _MjcfReader:
         self._warnings = _ignored(path, spec)
         self._meshes = MeshPieces(model)
         self._owner = [0] * model.nbody  # the body with the joint that moves each one; 0: it is fixed
+        # Parents have lower numbers than their children.
         for body in range(1, model.nbody):
             jointed = model.body_jntnum[body] > 0
             self._owner[body] = body if jointed else self._owner[int(model.body_parentid[body])]
@@ -564,6 +565,7 @@ class _MjcfReader:
         if len(geoms) != 1 or self._kind(geoms[0]) != GeomType.mjGEOM_BOX:
             raise self._error(f"body {name!r} has a hinge and is not one box; a door is")
         (geom,) = geoms
+        # Limits count from where the model has the door, which is closed here.
         low, high = (model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).tolist()
         pose = Pose(self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3))
         hinge = Hinge(

@@ -24,6 +24,7 @@ FIRST_WORD = "rndf_name"
 
 def is_route_network(data: bytes) -> bool:
     """Return whether a file's content is a route network."""
+    # The beginning is enough: other kinds of files may be long, and without a blank.
     words = data[:4096].split(None, 1)
     return bool(words) and words[0].lower() == FIRST_WORD.encode()
 

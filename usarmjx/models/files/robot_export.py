@@ -288,6 +288,7 @@ class _ModelWriter:
         ET.SubElement(joint, "axis", xyz=text_of(model.jnt_axis[number]))
         effort, speed = self._limits(name)
         limit = {"effort": text_of(effort), "velocity": text_of(speed)}
+        # URDF's sliding joints need limits, continuous ones have none.
         if kind != "continuous":
             low, high = model.jnt_range[number] if model.jnt_limited[number] else (-NO_LIMIT, NO_LIMIT)
             limit = {"lower": text_of(low), "upper": text_of(high), **limit}

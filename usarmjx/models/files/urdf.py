@@ -524,6 +524,7 @@ class _UrdfReader:
         dynamics = joint.first("dynamics")
         if dynamics is not None:
             damping = float(attribute_numbers(dynamics, "damping", 1, "0")[0])
+            # MuJoCo's damping is a polynomial of the speed, of which URDF has the linear term.
             made.damping = [max(damping, 0.0), 0.0, 0.0]
         mimic = joint.first("mimic")
         if mimic is not None:

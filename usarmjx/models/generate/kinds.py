@@ -135,6 +135,7 @@ def _partitions(plan: CellGrid, draw: RandomStream) -> list[list[Edge]]:
     if min(columns, rows) >= MIN_CORRIDOR_CELLS:
         tall = rows > columns
         length = columns if tall else rows
+        # At least two cells remain on either side of the corridor.
         at = draw.randint_between(2, length - 3)
         for line in (at, at + 1):
             walls.append(_line(rooms[0], line, tall))
@@ -145,6 +146,7 @@ def _partitions(plan: CellGrid, draw: RandomStream) -> list[list[Edge]]:
         wide, deep = room[1] - room[0], room[3] - room[2]
         upright = wide >= deep
         length = max(wide, deep)
+        # Each part of a divided room is at least two cells long.
         if length < 4:
             continue
         start = room[0] if upright else room[2]
@@ -295,7 +297,8 @@ def budget(kind: str, size: tuple[int, int]) -> Budget:
     """
     made, most, (columns, rows) = KINDS.get(kind), counts(size), size
     outer = 2 * (-(-columns // MAX_WALL_CELLS) - (-rows // MAX_WALL_CELLS))
-    inner = 2 * ((columns - 1) * -(-rows // 2) + (rows - 1) * -(-columns // 2))  # every wall of two sheets
+    # Along a line at most every other cell begins a run of wall, and every wall may have two sheets.
+    inner = 2 * ((columns - 1) * -(-rows // 2) + (rows - 1) * -(-columns // 2))
     shapes = outer + inner + most["blocks"] + most["boards"] + made.structures(size) * made.max_solids
     shapes += most["obstacles"] * MAX_OBSTACLE_SOLIDS
     shapes += 3 * most["victims"] * made.voids + 3 * made.second_floor

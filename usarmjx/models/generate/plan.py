@@ -129,6 +129,7 @@ class CellGrid:
 
     def _wall(self, a: Cell, b: Cell) -> bool:
         columns, rows = self.size
+        # Beyond the grid is a wall everywhere.
         return not (a[0] >= 0 and a[1] >= 0 and b[0] < columns and b[1] < rows) or (a, b) in self.walls
 
 
@@ -159,6 +160,7 @@ def doubled(wall: Shape) -> list[Shape]:
     """Return a wall as two sheets of half its thickness, side by side: the radio counts both."""
     x, y, z = wall.at
     along, across, up = wall.size
+    # Half the thickness of a sheet, and the distance of its middle from the wall's.
     half = THICKNESS / 4
     sheets: list[Shape] = []
     for side in (-half, half):

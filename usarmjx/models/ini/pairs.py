@@ -127,6 +127,7 @@ class JointPair:
     def brake(self) -> float | None:
         """BrakeTorque: torque at commanded speed 0 [N m]; None: unspecified."""
         value = self.struct.get("BrakeTorque")
+        # 0 is allowed: the limit itself is excluded.
         return None if value is None else as_number(self.line, value, "BrakeTorque", above=-1e-9)
 
     def _locked(self, name: str) -> bool:
@@ -414,6 +415,7 @@ def _hinge_part(pair: JointPair) -> Part:
     limits = None
     if struct.get("MinRange") is not None or struct.get("MaxRange") is not None:
         low, high = (number_of(line, struct, name) for name in ("MinRange", "MaxRange"))
+        # Limits in the wrong order are none, as those of links.
         limits = None if low > high else (low, high)
     turn = part_rotation(pair)
     axis = unit_of(pair, "SelfAxis" if struct.get("SelfAxis") is not None else "ParentAxis")
@@ -615,6 +617,7 @@ def known_packages(robots: Registry[RobotSpec], definitions: Definitions) -> dic
     """Return all packages: the robots', those of `PACKAGES`, and new ones of the ini files."""
     new = [MissionPackage(name=name, links=()) for name, found in definitions.items() if found.links]
     others = [package for _, robot in robots for package in robot.packages]
+    # Later ones win: `PACKAGES` over the robots' own, and both over names that only a file defines.
     return templates([*new, *others, *(package for _, package in PACKAGES)], definitions)
 
 

@@ -286,6 +286,7 @@ def _marks(part: Lane | Zone | Spot) -> Iterator[tuple[str, int, int | PointId |
 
 
 def _extent(numbers: dict[tuple[int, int], tuple[int, int]], lost: PointId) -> str:
+    # An owner that does not exist has no points: its first is behind its last.
     first, last = numbers.get(lost[:2], (1, 0))
     return f"points {first} to {last}" if last >= first else "no points"
 

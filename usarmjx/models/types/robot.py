@@ -289,7 +289,9 @@ class RobotSpec:
 
 def field_name(key: str) -> str:
     """Return the field for an ini key: `MaxRange` -> `max_range`, `bWithTimeStamp` -> `with_time_stamp`."""
+    # UnrealScript's names of flags begin with a b.
     bare = re.sub(r"^b(?=[A-Z])", "", key)
+    # Words begin at a capital after a small letter, and at the last capital of an abbreviation.
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", bare).lower()
 
 
