@@ -8,6 +8,7 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.sweeps import play
 from usarmjx.sweeps.resolve import base_task, resolve, signature_of
 from usarmjx.sweeps.spec import BUNDLED, find_spec, load_spec, read_spec
+from usarmjx.train.tasks.team import PERFECT_RADIO
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 
@@ -115,6 +116,21 @@ def test_rosters_become_the_teams_of_tasks():
     search = resolved(task="victim-search-v1", roster={"P2AT": 2, "kenaf": 1, "AirRobot": 1}).task
     assert isinstance(search, VictimSearch)
     assert (search.wheeled, search.tracked, search.flying) == (("P2AT",) * 2, ("kenaf",), ("AirRobot",))
+
+
+@pytest.mark.parametrize("policy", ["oracle", {"baseline": "oracle"}])
+def test_an_oracle_knows_the_building_and_hears_all_whatever_the_radio_of_its_cell(policy):
+    said = {"radio.cutoff": -43.0, "vary.radio_n": [1.5, 2.5], "roster": {"P2AT": 2}, "episodes": 1}
+    found, other = (
+        resolve(read_spec({"common": {"task": "explore-v3", "policy": one, **said}}).cells[0])
+        for one in (policy, "frontier")
+    )
+    assert (found.task.oracle, found.task.radio, found.ranges) == (True, PERFECT_RADIO, {})
+    assert (found.task.count, found.labels) == (2, other.labels)
+    assert not other.task.oracle
+    assert other.ranges == {"radio_cutoff": (-43.0, -43.0), "radio_n": (1.5, 2.5)}
+    with pytest.raises(UsageError, match="only tasks whose robots choose goals have an oracle"):
+        resolve(cells(common={"task": "explore-v2", "policy": policy})[0])
 
 
 def test_episodes_go_through_the_levels_in_turn():

@@ -25,8 +25,9 @@ def run(
     runs: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Its runs: folder of a run, exported file, baseline, packaged, random, baseline:NAME, "
-            "FILE.py:FUNCTION, client:COMMAND; {task} stands for each task. Default: the method's name."
+            help="Its runs: folder of a run, exported file, baseline, packaged, random, a planner such as "
+            "oracle, baseline:NAME, FILE.py:FUNCTION, client:COMMAND; {task} stands for each task. Default: "
+            "the method's name."
         ),
     ] = None,
     suite: SuiteOption = "teams-v1",

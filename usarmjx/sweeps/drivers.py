@@ -9,7 +9,8 @@ from typing import Any
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings.files import is_mapping
 from usarmjx.sweeps.spec import rename_policy
-from usarmjx.train.baselines import BASELINES
+from usarmjx.train.baselines import BASELINES, PLANNERS
+from usarmjx.train.baselines.planners import ORACLE
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import random_policy
@@ -42,6 +43,7 @@ class CellDriver:
         command: Of a client over TCP: how it is started; None: the policy acts in the batch.
         speed: Of a client: simulated seconds per second.
         source: Of a trained policy: where it comes from, and what it was trained on.
+        knows: Whether the robots know the building and hear all, see `planners.knowing`.
     """
 
     shape: Hashable
@@ -50,6 +52,7 @@ class CellDriver:
     command: str | None = None
     speed: float = 1.0
     source: PolicySource | None = None
+    knows: bool = False
 
 
 def parse_policy(text: str) -> str | dict[str, str]:
@@ -79,6 +82,8 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
     if isinstance(policy, str):
         if policy in (BASELINE, PACKAGED, RANDOM):
             return policy, "", {}
+        if policy in PLANNERS:
+            return BASELINE, policy, {}
         if ".py:" in policy:
             return "python", policy, {}
         return ("run" if Path(policy).is_dir() else "file"), policy, {}
@@ -88,8 +93,8 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
         if isinstance(policy[kind], str) and set(more) <= set(allowed):
             return kind, policy[kind], more
     raise UsageError(
-        f"policy is {policy!r}, expected {BASELINE}, {PACKAGED}, {RANDOM}, a run's folder, an exported file, "
-        f"file.py:function, or one of {', '.join(KINDS)} as {{kind: which}}"
+        f"policy is {policy!r}, expected {BASELINE}, {PACKAGED}, {RANDOM}, {', '.join(PLANNERS)}, a run's "
+        f"folder, an exported file, file.py:function, or one of {', '.join(KINDS)} as {{kind: which}}"
     )
 
 
@@ -128,7 +133,8 @@ def find_driver(policy: object, task: str) -> CellDriver:
     if kind == BASELINE:
         name = find_baseline(what or task)
         baseline = BASELINES.get(name)
-        return CellDriver(shape=("baseline", name.lower()), make=lambda env, _: baseline(env))
+        shape = ("baseline", name.lower())
+        return CellDriver(shape=shape, make=lambda env, _: baseline(env), knows=name.lower() == ORACLE)
     if kind == PACKAGED and task not in POLICIES:
         raise UsageError(f"no policy for {task} comes with the package; known: {', '.join(POLICIES.names())}")
     checkpoint = str(more.get("checkpoint", "best"))

@@ -24,6 +24,7 @@ from usarmjx.models.generate import KINDS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sweeps.drivers import CellDriver, find_driver
 from usarmjx.sweeps.spec import FIELDS, NAMES, ArenaLevel, Cell, CellSettings, check_key, part_classes
+from usarmjx.train.baselines.planners import knowing
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import SPLITS, TEST, GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
@@ -34,6 +35,8 @@ from usarmjx.train.tasks.victim_search import FLIPPERS
 
 RADIO_AS_DATA = ("pdo", "n", "cutoff", "atten_fac")
 """Constants of the radio that may differ between the worlds of a batch."""
+OF_RADIO = ("radio.", "vary.radio_")
+"""Begins of the settings of the radio."""
 STATIC_RANGES = ("mass", "latency")
 """Quantities whose ranges are compiled in: tables of masses, room for what motors have not heard of yet."""
 TEAMS = {"wheeled": "on wheels", "tracked": "with flippers", "flying": "that fly"}
@@ -143,7 +146,13 @@ def resolve(settings: CellSettings, base: Task | None = None) -> Resolved:
         UsageError: A name that is unknown, or settings that do not go together; names them.
     """
     task = base_task(settings) if base is None else base
-    parts, ranges = _parts(task, settings)
+    driver = find_driver(settings["policy"], settings["task"])
+    heard = settings
+    if driver.knows:
+        task = knowing(task)
+        # It hears all, whatever the radio of the cell.
+        heard = {name: one for name, one in settings.items() if not name.startswith(OF_RADIO)}
+    parts, ranges = _parts(task, heard)
     arenas, split, levels = _arenas(settings, task)
     if is_tuple(arenas):
         arenas = LabelledArenas(arenas=arenas, labels=_labels(arenas))
@@ -153,7 +162,7 @@ def resolve(settings: CellSettings, base: Task | None = None) -> Resolved:
         task=replace(task, **parts, arena="floor" if data else arenas),
         arenas=arenas.arenas if data else None,
         ranges=ranges,
-        driver=find_driver(settings["policy"], settings["task"]),
+        driver=driver,
         split=split,
         labels=arenas.labels if data else (),
         levels=levels,

@@ -39,8 +39,8 @@ class Cell:
 
     Attributes:
         task: Name of the task, or FILE.py:CLASS.
-        policy: Policy that drives: `baseline`, `packaged`, `random`, a run's folder, an exported file,
-            FILE.py:FUNCTION, or a kind with its name.
+        policy: Policy that drives: `baseline`, `packaged`, `random`, a planner such as `oracle`, a run's
+            folder, an exported file, FILE.py:FUNCTION, or a kind with its name.
         method: Policies that are runs of one method, as {name: NAME, runs: [POLICY, ...]}: each is a cell.
         episodes: Episodes of the cell, each in a world of its own.
         seed: Seed of all random numbers.

@@ -13,13 +13,16 @@ from tests.train.toys import LineToy
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
+from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.task import TASKS, Policy
 from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 from usarmjx.train.learning.checkpoint import read_policy
+from usarmjx.train.make import make_task
 from usarmjx.train.policies import FOLDER, POLICIES, policies_in, sources
 from usarmjx.train.policies.policy_file import NumpyPolicy
 from usarmjx.train.policies.sources import PolicySource, baseline, load_policy, task_settings
+from usarmjx.train.tasks.team import PERFECT_RADIO
 
 GOAL_GROUP = AgentGroup("P2AT", ("P2AT0",), 4, 2)
 
@@ -117,6 +120,25 @@ def test_the_task_of_a_packaged_policy_is_still_the_one_that_it_was_trained_for(
     seen = [note for note in notes if "scores of policies count on split test" in note]
     assert (env.name, [note for note in notes if note not in seen]) == (name, TOLD.get(name, []))
     assert len(seen) == bool(env.levels)
+
+
+def test_an_oracle_plays_the_task_in_which_it_knows_all(monkeypatch):
+    def made(name, **fields):
+        del fields["worlds"], fields["engine"], fields["seed"]
+        return SimpleNamespace(
+            name=name, task=make_task(name, **fields), scene=SimpleNamespace(arenas=None, arena="")
+        )
+
+    monkeypatch.setattr(sources, "make", made)
+    monkeypatch.setattr(sources, "building_label", lambda arena: "")
+    env, _, notes = baseline("oracle", "explore-v3").env(["count=2"])
+    assert (env.task.oracle, env.task.radio, env.task.count, notes) == (True, PERFECT_RADIO, 2, [])
+    env, _, _ = baseline("courier", "explore-v3").env()
+    assert not env.task.oracle
+    with pytest.raises(UsageError, match="only tasks whose robots choose goals have an oracle"):
+        baseline("oracle", "wander").env()
+    with pytest.raises(UsageError, match="which robots of explore-v3 do only with oracle=true"):
+        BASELINES.get("oracle")(env)
 
 
 def test_settings_of_the_training_come_back_and_those_that_cannot_are_told():

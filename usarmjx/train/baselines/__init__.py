@@ -16,6 +16,7 @@ from usarmjx.train.baselines.planners import (
     chain_policy,
     courier_policy,
     frontier_policy,
+    oracle_policy,
     relay_policy,
     rendezvous_policy,
     reporting_policy,
@@ -38,6 +39,7 @@ __all__ = [
     "frontier_policy",
     "initial_bug_carry",
     "inspection_policy",
+    "oracle_policy",
     "pursuit_policy",
     "relay_policy",
     "rendezvous_policy",
@@ -63,6 +65,7 @@ PLANNERS: dict[str, Callable[[Env], Policy]] = {
     "courier": courier_policy,
     "rendezvous": rendezvous_policy,
     "chain": chain_policy,
+    "oracle": oracle_policy,
 }
 """Planners of any task whose robots choose goals; `BASELINES` has them too, for a task that is named."""
 for planner, policy in PLANNERS.items():

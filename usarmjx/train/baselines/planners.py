@@ -5,8 +5,10 @@ Robots of the first versions drive the way that they observe. Those of the third
 their base at agreed times, and a chain goes outward while it hears one that is nearer to the base.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ import numpy as np
 from usarmjx.base.backend import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy, Task
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.planning import frontier_action
 from usarmjx.train.tasks import messages
@@ -40,6 +42,7 @@ from usarmjx.train.tasks.goal_features import (
     chosen_goal,
 )
 from usarmjx.train.tasks.goal_team import HOLD, GoalTeam
+from usarmjx.train.tasks.team import PERFECT_RADIO
 
 Chooser = Callable[[jax.Array, float], jax.Array]
 """From observations (..., n) and the side of a map's squares [m] to goals (...,)."""
@@ -122,6 +125,34 @@ def reporting_policy(env: Env) -> Policy:
 def silent_policy(env: Env) -> Policy:
     """Return the planner that only looks for frontiers; see `goal_planner`."""
     return goal_planner(env, report=False)
+
+
+ORACLE = "oracle"
+"""Name of the planner whose robots know the building and hear all."""
+KNOWING: Mapping[str, Any] = {"oracle": True, "radio": PERFECT_RADIO}
+"""Fields of the task under which an oracle plays."""
+
+
+def knowing(task: Task) -> GoalTeam:
+    """Return a task in which robots know the building and hear everyone.
+
+    Raises:
+        UsageError: A task whose robots cannot.
+    """
+    if not isinstance(task, GoalTeam):
+        raise UsageError("only tasks whose robots choose goals have an oracle")
+    return replace(task, **KNOWING)
+
+
+def oracle_policy(env: Env) -> Policy:
+    """Return the planner of robots that know the building; see `goal_planner`.
+
+    Raises:
+        UsageError: Another task, or robots that do not know it, see `knowing`.
+    """
+    if not _task_of(env).oracle:
+        raise UsageError(f"oracle knows the building, which robots of {env.name} do only with oracle=true")
+    return reporting_policy(env)
 
 
 def frontier_policy(env: Env) -> Policy:

@@ -25,7 +25,7 @@ from usarmjx.base.estimates import Estimate, estimate_groups
 from usarmjx.base.tables import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES, PLANNERS
-from usarmjx.train.baselines.planners import reporting_policy
+from usarmjx.train.baselines.planners import ORACLE, knowing
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -132,17 +132,6 @@ def with_perfect_radio(task: TeamTask) -> TeamTask:
     return replace(task.for_baseline, radio=PERFECT_RADIO)
 
 
-def knowing(task: TeamTask) -> TeamTask:
-    """Return a task in which robots know the building and hear everyone.
-
-    Raises:
-        UsageError: A task whose robots cannot.
-    """
-    if not isinstance(task, GoalTeam):
-        raise UsageError("only tasks whose robots choose goals have an oracle")
-    return replace(task, radio=PERFECT_RADIO, oracle=True)
-
-
 def with_training_view(source: PolicySource, task: TeamTask) -> TeamTask:
     """Return a task that shows what a policy saw in training: the planner's advice, a picture of maps."""
     # Only what it sees: its arena and robots are the task's, or teams would not be compared.
@@ -167,7 +156,7 @@ TEAMS: dict[str, Team] = {
 
 GOAL_TEAMS: dict[str, Team] = {
     **{name: (unchanged, planner) for name, planner in PLANNERS.items()},
-    "oracle": (knowing, reporting_policy),
+    ORACLE: (knowing, PLANNERS[ORACLE]),
 }
 """Further ones for teams that choose goals: robots that never go home, that meet there at agreed times, and
 that know the building and hear all."""

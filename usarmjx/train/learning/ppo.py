@@ -61,7 +61,7 @@ def teacher_of(env: Env, name: str = BASELINE) -> Policy:
         raise UsageError(
             f"teacher is oracle, which only tasks whose robots choose goals have, not {env.name}"
         )
-    if name in PLANNERS:
+    if name in PLANNERS and name != ORACLE:
         return PLANNERS[name](env)
     if name not in (BASELINE, ORACLE):
         return load_policy(name).policy(env)

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import parse_assignments
 from usarmjx.train.baselines import BASELINES, PLANNERS
-from usarmjx.train.baselines.planners import with_given_messages
+from usarmjx.train.baselines.planners import KNOWING, ORACLE, knowing, with_given_messages
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.membership import building_label, training_note
 from usarmjx.train.envs.recipe import TEST, GeneratedArenas
@@ -289,6 +289,9 @@ class PolicySource:
         overrides, notes = task_settings(self.task, self.overrides, settings)
         if split is not None:
             overrides["arena"] = arenas_of(self.task, overrides, split)
+        if self.learned is None and self.name == ORACLE:
+            knowing(make_task(self.task, **overrides))  # refuses tasks without an oracle
+            overrides |= KNOWING
         env = make(self.task, worlds=worlds, engine=engine, seed=seed, **overrides)
         scene = env.scene
         played = (scene.arena,) if scene.arenas is None else scene.arenas.arenas
