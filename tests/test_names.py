@@ -1,6 +1,7 @@
-"""Lengths of files and functions, and one meaning of each class name in a package."""
+"""Lengths of files and functions, one meaning of each class name, and references in texts."""
 
 import ast
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -20,6 +21,11 @@ HOMONYMS = {
     "Values": "in usarmjx.train: by agents' names, PettingZoo has anything, JaxMARL arrays",
 }
 """Names of types that may mean two things in a package, and why."""
+REFERENCE = re.compile(r"`([a-z_]\w*(?:\.[A-Za-z_]\w*)+)`")
+FOREIGN = {"brax", "foxglove", "gymnasium", "torchrl"}
+"""Modules of ours with the name of a library, which texts mean in such references."""
+NOT_NAMES = {"jsonl", "py", "NAME"}
+"""Ends of what is no reference: files, and words that stand for others."""
 
 
 @cache
@@ -71,6 +77,57 @@ def long_functions(tree: ast.Module) -> dict[str, int]:
     }
 
 
+def identifiers(tree: ast.Module) -> set[str]:
+    """All that a module defines or names."""
+    found = set[str]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name):
+            found.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            found.add(node.attr)
+        elif isinstance(node, ast.alias):
+            found.add((node.asname or node.name).rpartition(".")[2])
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.add(node.value)  # of what loads on first use
+    return found
+
+
+@cache
+def known_modules() -> dict[str, set[str]]:
+    """What each module of the package names, by its full name; of a package its modules, too."""
+    found = dict[str, set[str]]()
+    for path in SOURCES:
+        if package_of(path).startswith("usarmjx"):
+            found[name_of(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".")] = (
+                identifiers(tree_of(path))
+            )
+    for name in found:
+        above, _, last = name.rpartition(".")
+        found.get(above, set()).add(last)
+    return found
+
+
+def lost_references(source: str, modules: dict[str, set[str]]) -> list[str]:
+    """References `module.name` in a source to a name that no such module has."""
+    lost = list[str]()
+    for reference in REFERENCE.findall(source):
+        parts = reference.split(".")
+        for count in range(len(parts) - 1, 0, -1):
+            end = "." + ".".join(parts[:count])
+            named = [names for module, names in modules.items() if f".{module}".endswith(end)]
+            if named:
+                lost += [reference] * (not any(parts[count] in names for names in named))
+                break
+    lost = [one for one in lost if one.split(".")[0] not in FOREIGN and one.split(".")[-1] not in NOT_NAMES]
+    # An argument may have the name of a module.
+    arguments = (
+        {node.arg for node in ast.walk(ast.parse(source)) if isinstance(node, ast.arg)} if lost else set()
+    )
+    return [one for one in lost if one.split(".")[0] not in arguments]
+
+
 def edits_path(text: str) -> bool:
     """Whether a module changes where Python looks for modules."""
     return "sys.path" in text and any(
@@ -103,6 +160,13 @@ def test_no_function_is_longer_than_a_screen():
     assert {name: functions for name, functions in found.items() if functions} == {}
 
 
+def test_what_texts_refer_to_exists():
+    modules = known_modules()
+    texts = {name_of(path): path.read_text(encoding="utf-8") for path in SOURCES}
+    lost = {name: lost_references(text, modules) for name, text in texts.items() if "`" in text}
+    assert {name: references for name, references in lost.items() if references} == {}
+
+
 def test_tests_import_each_other_from_the_root():
     """Not by adding folders to sys.path, where two files of the same name are one."""
     assert [path.name for path in TESTS if edits_path(path.read_text(encoding="utf-8"))] == []
@@ -129,3 +193,13 @@ def test_edits_of_the_path_are_found():
         map(edits_path, ("sys.path.append('.')", "def f():\n    sys.path[:0] = ['.']", "sys.path += []"))
     )
     assert not any(map(edits_path, ("print(sys.path)", "'sys.path.append'", "os.path.join('a')")))
+
+
+def test_lost_references_are_found():
+    modules = {"usarmjx.sim": {"scene"}, "usarmjx.sim.scene": {"Scene"}, "usarmjx.scene": {"Other"}}
+    source = '''
+def f(batch):
+    """As `scene.Scene`, `scene.Other` and `sim.scene.Scene`, not `sim.scene.Other` or `scene.Gone`."""
+    # See `batch.scene`, `scene.py` and `numpy.zeros`, not `sim.gone`.
+'''
+    assert lost_references(source, modules) == ["sim.scene.Other", "scene.Gone", "sim.gone"]

@@ -16,11 +16,11 @@ from typer.testing import CliRunner
 from tests.arenas import FLAT
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
-from usarmjx.plots.play import TeamWays, draw_finds, draw_messages, draw_ways, plot_teams
+from usarmjx.plots.play import TeamWays, draw_finds, draw_messages, draw_ways, just_sent, plot_teams
 from usarmjx.plots.style import PALETTE
 from usarmjx.train.evaluation import yardsticks
 from usarmjx.train.evaluation.yardsticks import TeamResult
-from usarmjx.train.tasks.messages import MAP, PLAN, MessageState, no_messages, option
+from usarmjx.train.tasks.messages import MAP, PLAN, VECTOR, MessageState, no_messages, option
 from usarmjx.train.tasks.reporting_team import ExploreBase
 
 
@@ -164,3 +164,13 @@ def test_messages_are_drawn_from_senders_to_receivers_by_kind(hold, monkeypatch)
     assert lines == [each[1][1], each[2][1], each[0][1]]
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
     assert texts == ["2 plan", "1 map"]
+
+
+def test_letters_with_a_vector_are_drawn_as_such():
+    task = ExploreBase(count=2, actions="goals+message", message_floats=2)
+    state = no_messages(3, 5, task.message_floats).replace(
+        chosen=np.array([0, option(1, VECTOR), option(1, PLAN)]),
+        receivers=np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bool),
+    )
+    memory = Memory(step=np.array(task.hold // 2 + 1), extra=Extra(messaging=state))
+    assert [one.kind for one in just_sent(task, memory, np.zeros((3, 3)))] == ["vector", "plan"]

@@ -47,7 +47,7 @@ TITLE = "usarmjx demo"
 
 
 class DemoGuide:
-    """A `net.Service`: tells how to begin once the robots move, and opens the page in a browser.
+    """A `gamebots.server.Service`: tells how to begin once the robots move, and opens the page in a browser.
 
     Args:
         page: Address of the page.

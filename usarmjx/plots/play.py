@@ -31,8 +31,8 @@ from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import QUARTERS, TeamResult
 from usarmjx.train.learning.trajectory import RolloutInputs, play_again
+from usarmjx.train.tasks import messages
 from usarmjx.train.tasks.goal_team import GoalTeam
-from usarmjx.train.tasks.messages import KINDS
 from usarmjx.train.tasks.team import TeamMemory
 
 WORLD = 0
@@ -338,11 +338,15 @@ class Clips:
         return float(np.asarray(state.score)[world]), *positions_of(self._env, state, world)
 
 
+SENT_KINDS = (*messages.KINDS, "vector")
+"""Kinds of messages, by the numbers of `messages.of_options`."""
+
+
 class SentMessage(NamedTuple):
     """A message from one robot to another.
 
     Attributes:
-        kind: A name of `messages.KINDS`.
+        kind: A name of `SENT_KINDS`.
         ends: Positions of sender and receiver [m] (2, 2).
     """
 
@@ -352,12 +356,13 @@ class SentMessage(NamedTuple):
 
 def just_sent(task: GoalTeam, memory: TeamMemory, places: np.ndarray) -> Iterator[SentMessage]:
     """Yield the messages of a world's last step, between robots at places (robots, 3)."""
+    # The step has been counted since.
     if (int(memory.step) - 1) % task.hold != task.hold // 2:
         return
     state = task.message_state(memory)
-    kinds = (np.asarray(state.chosen) - 1) % len(KINDS)
+    kinds, _ = messages.of_options(state, state.chosen)
     for sender, receiver in np.argwhere(np.asarray(state.receivers)):
-        yield SentMessage(KINDS[kinds[sender]], places[[sender, receiver], :2])
+        yield SentMessage(SENT_KINDS[int(kinds[sender])], places[[sender, receiver], :2])
 
 
 class TeamWays:
@@ -389,7 +394,7 @@ class TeamWays:
 
 def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
     """Draw messages as lines from senders (dots) to receivers, a colour for each kind, with a legend."""
-    for number, kind in enumerate(KINDS):
+    for number, kind in enumerate(SENT_KINDS):
         ends = [one.ends for one in sent if one.kind == kind]
         if not ends:
             continue
@@ -402,7 +407,7 @@ def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
             loc="lower right",
             bbox_to_anchor=(1.0, 1.0),
             borderpad=0.0,
-            ncols=len(KINDS),
+            ncols=len(SENT_KINDS),
             markerscale=3.0,
             handletextpad=0.0,
             columnspacing=0.5,

@@ -1,7 +1,7 @@
 """Domain randomisation: values that differ between worlds, robots and episodes beside arenas and noise.
 
 `DomainRandomization` holds the ranges, `RandomizedValues` one world's numbers. Physical ones reach the engine
-as fields of its model that differ between worlds (`engines.varied`).
+as fields of its model that differ between worlds (`base.VariedModel`).
 """
 
 from collections.abc import Callable, Mapping, Sequence

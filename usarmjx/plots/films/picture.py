@@ -26,7 +26,7 @@ from usarmjx.sensors.cameras.shading import RenderScene, shade
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE, RayQuery
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.server.protocol.images import format_number, jpeg
-from usarmjx.view.drawing import NOBODY, Drawing, DrawnMount, Frame
+from usarmjx.view.drawing import Drawing, DrawnMount, Frame
 from usarmjx.view.viewpoint import bounds_of
 
 SHADOW_SIDES, WIDE = (2048, 4096), 60.0
@@ -174,6 +174,7 @@ def _shade(
     ray = ahead + x[:, None] * right + y[:, None] * up
     length = jnp.linalg.norm(ray, axis=-1, keepdims=True)
     solid, pane = (
+        # Nearness is 1 / depth, and the ray has a depth of 1.
         RayHits(jnp.where(triangle >= 0, length[:, 0] / jnp.maximum(near, 1e-9), jnp.inf), triangle)
         for triangle, near in (hits[:2], hits[2:])
     )
@@ -198,7 +199,8 @@ class FilmScene:
     def __init__(self, drawing: Drawing) -> None:
         self._solids = of = solids_of(drawing)
         still = [body.name in STILL_BODIES for body in drawing.bodies]
-        self._still = np.where(of.body == NOBODY, True, np.append(still, True)[of.body])
+        # The floor's body is -1, which indexes what is appended.
+        self._still = np.append(still, True)[of.body]
         self._clear = of.transparency > 0
         self.bounds = bounds_of(drawing)
         low, high = self.bounds

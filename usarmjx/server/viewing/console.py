@@ -276,7 +276,7 @@ def _with_options(mount: Mount, parameters: Mapping[str, str]) -> Mount:
 
     Raises:
         UnknownNameError: It has no such setting; lists those it has.
-        UsageError: See `settings.checked`.
+        UsageError: See `robot.checked`.
     """
     kind = _settings_class(mount)
     names, can = field_names(kind), _editable(kind)

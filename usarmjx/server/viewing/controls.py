@@ -79,7 +79,7 @@ class PageRobots:
         """Return the driver of each robot, by slot."""
         # Later entries win: the page over a client, a client over the policy.
         found = dict.fromkeys(self._world.agents().values(), BY_POLICY)
-        # = dict|Lists first: other threads read this while robots come and go.
+        # Lists first: other threads read this while robots come and go.
         found |= dict.fromkeys(list(self._world.robots), BY_CLIENT)
         return found | dict.fromkeys(list(self._held), BY_PAGE)
 

@@ -450,7 +450,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
     inspect: Inspector | None = None,
     stop: StopRequest | None = None,
 ) -> TrainResult:
-    """Train a policy; in every process at once, if there are several (see `processes.group`).
+    """Train a policy; in every process at once, if there are several (see `processes.initialize`).
 
     Args:
         env: An environment; or what makes one of a number of worlds and the number of the first of them,

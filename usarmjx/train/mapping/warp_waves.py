@@ -311,7 +311,7 @@ def _distances(start: Array, enter: Array, until: Array) -> jax.Array:
 
 
 def distances_on_warp(start: Array, enter: Array, until: Array | None) -> jax.Array:
-    """As `sweeps.swept_distances`, on Warp."""
+    """As `fast_sweeping.swept_distances`, on Warp."""
     return of_one_map(_distances, start, enter, until)
 
 
