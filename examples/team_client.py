@@ -6,7 +6,7 @@
 Each robot has a connection of its own. Its map comes from its INS and its scanner, and from messages of the
 others, which go through the wireless server: `GETSS` says which robots hear each other, and a link is opened
 to each of these. The base is a robot too, which merges maps and stays where it is. `--policy` is packaged, a
-file of `usarmjx export`, or a planner: baseline, frontier, courier, rendezvous.
+file of `usarmjx export`, or a planner: baseline, frontier, courier, assignment, rendezvous.
 """
 
 import argparse

@@ -58,7 +58,7 @@ RUN_WORDS = ("baseline", "packaged", "random", "by-hand", "shipped")
 """Policies of `usarmjx suite run` and of sweeps that each task has one of."""
 TEAM_WORDS = ("random", "one", "baseline", "perfect-radio", "packaged")
 """Teams of `usarmjx teams` that are no policies."""
-GOAL_TEAM_WORDS = ("frontier", "courier", "rendezvous", "chain", "oracle")
+GOAL_TEAM_WORDS = ("frontier", "courier", "assignment", "rendezvous", "chain", "oracle")
 """Further ones of tasks whose robots choose goals."""
 FOLDERS = ("models/robots", "models/arenas", "models/generate", "engines", "train/tasks", "train/policies")
 """Folders whose files define the names."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usarmjx.train.baselines.planners import courier_goal, has_courier, meeting_goal
+from usarmjx.train.baselines.planners import assigned_goal, courier_goal, has_courier, meeting_goal
 from usarmjx.train.evaluation.yardsticks import measure_teams
 from usarmjx.train.tasks.goal_features import (
     FIRST_GOAL,
@@ -95,6 +95,28 @@ def test_one_robot_carries_what_another_knows():
         assert not has_courier(seen)
         assert meeting_goal(seen, CELL) == courier_goal(seen, CELL) == 0
         mate[place] = kept
+
+
+def test_frontiers_are_shared_out_and_the_cheapest_pair_comes_first():
+    """Frontiers 3 and 5 straight ahead, 6 m off as all goals are: ways of 12 and 9 squares of 0.3 m."""
+    seen = observation()
+    assert assigned_goal(seen, CELL) == 5
+    goals = seen[FIRST_GOAL:FIRST_MASK].reshape(GOALS, GOAL_NUMBERS)
+    goals[3, 1] = 0.5  # 6 m to the left of 5
+    mate = seen[FIRST_MATE : FIRST_MATE + MATE_NUMBERS]
+    mate[:3] = 1.0, 0.5, -0.1  # 1.2 m from 5, four squares
+    assert assigned_goal(seen, CELL) == 3
+    mate[2] = -0.3  # 12 squares from 5, more than the robot's own 9
+    assert assigned_goal(seen, CELL) == 5
+    goals[3, 3] = 0.5  # much is unknown there, and neither frontier is nearer to the other robot now
+    goals[5, 3] = -1.0
+    assert assigned_goal(seen, CELL) == 3
+    both = np.stack([seen, observation(news=1000.0)])
+    assert assigned_goal(both, CELL).tolist() == [3, 0]
+    alone = observation(frontiers=((5, 9.0),))
+    alone[FIRST_MATE : FIRST_MATE + MATE_NUMBERS] = mate
+    alone[FIRST_MATE + 2] = 0.0
+    assert assigned_goal(alone, CELL) == 5, "no frontier is left for it: the nearest"
 
 
 @pytest.mark.thorough

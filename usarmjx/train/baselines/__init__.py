@@ -13,6 +13,7 @@ from usarmjx.train.baselines.climb import climb_policy
 from usarmjx.train.baselines.driving import BugCarry, bug_action, bug_policy, initial_bug_carry, roam_policy
 from usarmjx.train.baselines.hover import inspection_policy
 from usarmjx.train.baselines.planners import (
+    assignment_policy,
     chain_policy,
     courier_policy,
     frontier_policy,
@@ -31,6 +32,7 @@ __all__ = [
     "BASELINES",
     "PLANNERS",
     "BugCarry",
+    "assignment_policy",
     "bug_action",
     "bug_policy",
     "chain_policy",
@@ -63,6 +65,7 @@ BASELINES.add("relay-chain-v3", chain_policy)
 PLANNERS: dict[str, Callable[[Env], Policy]] = {
     "frontier": silent_policy,
     "courier": courier_policy,
+    "assignment": assignment_policy,
     "rendezvous": rendezvous_policy,
     "chain": chain_policy,
     "oracle": oracle_policy,

@@ -27,10 +27,12 @@ from usarmjx.train.tasks.goal_features import (
     FIRST_GOAL,
     FIRST_MASK,
     FIRST_MATE,
+    GAIN_WORTH,
     GOAL_NUMBERS,
     GOALS,
     HOME_MARGIN,
     HOME_SPEED,
+    KEEP_WORTH,
     LENGTH_SCALE,
     LITTLE_NEWS,
     MATE_NUMBERS,
@@ -245,8 +247,7 @@ def chain_goal(seen: Array, square: float) -> jax.Array:
 
 def _heard(seen: jax.Array) -> jax.Array:
     """Return the best signal of the base or a robot that is nearer to it (...,)."""
-    rows = seen[..., FIRST_MATE : FIRST_MATE + OBSERVED_MATES * MATE_NUMBERS]
-    mates = rows.reshape(*seen.shape[:-1], OBSERVED_MATES, MATE_NUMBERS)
+    mates = _observed_mates(seen)
     base = NEAR_SCALE * seen[..., FIRST_GOAL : FIRST_GOAL + 2]
     gap = jnp.linalg.norm(NEAR_SCALE * mates[..., 1:3] - base[..., None, :], axis=-1)
     before = gap < jnp.linalg.norm(base, axis=-1)[..., None] - AHEAD
@@ -303,6 +304,47 @@ def meeting_goal(seen: Array, square: float) -> jax.Array:
     return jnp.where(due & (news > LITTLE_NEWS) & ~has_courier(seen), 0, explored)
 
 
+def assigned_goal(seen: Array, square: float) -> jax.Array:
+    """Return the goals of robots that share frontiers out among all that they have heard of (...,).
+
+    The cheapest pair of a robot and a frontier comes first, then that of the others, and so on. A cost is the
+    way, of others as the crow flies, less what the unknown squares around the frontier are worth: the greedy
+    assignment with information gain of Burgard et al., Coordinated Multi-Robot Exploration, 2005, which each
+    robot works out on its own beliefs. For news robots go home as `courier_goal` does.
+
+    Args:
+        seen: Observations (..., n).
+        square: Side of a map's squares [m].
+    """
+    seen = jnp.asarray(seen)
+    goals = seen[..., FIRST_GOAL:FIRST_MASK].reshape(*seen.shape[:-1], GOALS, GOAL_NUMBERS)
+    mates = _observed_mates(seen)
+    gap = NEAR_SCALE * (goals[..., None, :, :2] - mates[..., :, None, 1:3])
+    ways = jnp.linalg.norm(gap, axis=-1) / square
+    mine = LENGTH_SCALE * goals[..., 2] - KEEP_WORTH * goals[..., 9]
+    cost = jnp.concatenate([mine[..., None, :], ways], -2) - GAIN_WORTH * goals[..., None, :, 3]
+    robots = jnp.concatenate([jnp.ones_like(mates[..., :1, 0]), mates[..., 0]], -1) > 0.5
+    frontiers = (seen[..., -GOALS:] > 0.5) & (np.arange(GOALS) > MATES)
+    cost = jnp.where(robots[..., None] & frontiers[..., None, :], cost, jnp.inf)
+    explored = chosen_goal(seen, square, report=False)
+    for _ in range(1 + OBSERVED_MATES):
+        best = cost.reshape(*cost.shape[:-2], -1).argmin(-1)
+        robot, goal = best // GOALS, best % GOALS
+        # Without a pair that is left all costs are infinite: then the nearest frontier stays.
+        found = jnp.isfinite(cost.min((-2, -1)))
+        explored = jnp.where(found & (robot == 0), goal, explored)
+        row, column = (np.arange(size) for size in cost.shape[-2:])
+        taken = (row == robot[..., None])[..., None] | (column == goal[..., None])[..., None, :]
+        cost = jnp.where(taken, jnp.inf, cost)
+    return jnp.where(courier_goal(seen, square) == 0, 0, explored)
+
+
+def _observed_mates(seen: jax.Array) -> jax.Array:
+    """Return the rows of other robots (..., OBSERVED_MATES, MATE_NUMBERS)."""
+    rows = seen[..., FIRST_MATE : FIRST_MATE + OBSERVED_MATES * MATE_NUMBERS]
+    return rows.reshape(*seen.shape[:-1], OBSERVED_MATES, MATE_NUMBERS)
+
+
 def has_courier(seen: Array) -> jax.Array:
     """Return whether another robot that is nearer to the base goes there with all that a robot knows (...,).
 
@@ -310,8 +352,7 @@ def has_courier(seen: Array) -> jax.Array:
         seen: Observations (..., n).
     """
     seen = jnp.asarray(seen)
-    rows = seen[..., FIRST_MATE : FIRST_MATE + OBSERVED_MATES * MATE_NUMBERS]
-    mates = rows.reshape(*seen.shape[:-1], OBSERVED_MATES, MATE_NUMBERS)
+    mates = _observed_mates(seen)
     base = NEAR_SCALE * seen[..., FIRST_GOAL : FIRST_GOAL + 2]
     gap = jnp.linalg.norm(NEAR_SCALE * mates[..., 1:3] - base[..., None, :], axis=-1)
     nearer = gap < jnp.linalg.norm(base, axis=-1)[..., None]
@@ -326,6 +367,15 @@ def courier_policy(env: Env) -> Policy:
         UsageError: Another task, or one whose actions are speeds.
     """
     return policy_of_choices(env, courier_goal)
+
+
+def assignment_policy(env: Env) -> Policy:
+    """Return the planner that shares frontiers out for an environment of a `GoalTeam`; its carry is empty.
+
+    Raises:
+        UsageError: Another task, or one whose actions are speeds.
+    """
+    return policy_of_choices(env, assigned_goal)
 
 
 def rendezvous_policy(env: Env) -> Policy:
