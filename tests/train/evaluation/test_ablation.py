@@ -1,22 +1,30 @@
 """Ablations hide what they name, and compare in the same buildings."""
 
+import json
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import estimate_groups
+from usarmjx.cli.app import app
 from usarmjx.train.envs.task import Policy
+from usarmjx.train.evaluation import ablation
 from usarmjx.train.evaluation.ablation import (
     ABLATIONS,
     GOAL_ABLATIONS,
     MAP_SIZE,
     MATES,
+    ablate,
     ablation_row,
     ablation_table,
     ablations_of,
     hidden_policy,
+    unchanged_task,
 )
 from usarmjx.train.evaluation.yardsticks import TeamResult
 from usarmjx.train.mapping.belief import SECTOR_COUNT, initial_belief
@@ -149,3 +157,56 @@ def test_differences_are_of_the_worlds_that_both_have():
     assert row.difference.high - row.difference.value == pytest.approx(4.303 / 3**0.5, rel=1e-3)
     table = ablation_table([ablation_row("mine", "nothing", whole, whole), row])
     assert "| mine | advice | 24.2 | -10.0 (-12.5 to -7.5) | 10.0 |" in table
+
+
+@pytest.fixture
+def games(monkeypatch):
+    """The tasks that were built, and the games that were played: name, task and whether all is seen.
+
+    A game gives 10 points, and 5 less without messages.
+    """
+    built, played = [], []
+
+    def build(task, worlds, name, engine):
+        built.append(task)
+        return SimpleNamespace(task=task, worlds=worlds, scene=SimpleNamespace(num_robots=3))
+
+    def play(env, task, policy, name, seed):
+        seen = observed_goals(jnp.full((4, 4), 500.0), jnp.ones((4, 4), bool))
+        _, (shown,) = policy.act((), (seen,), jax.random.key(seed))
+        played.append((name, task, bool((shown == seen).all())))
+        return result(name, [10.0 - 5.0 * (task.talk == "base") + world for world in range(env.worlds)])
+
+    monkeypatch.setattr(ablation, "build_env", build)
+    monkeypatch.setattr(ablation, "play_team", play)
+    still = Policy(lambda worlds: (), lambda carry, obs, key: (carry, obs))
+    monkeypatch.setattr(ablation, "find_team", lambda name: (unchanged_task, lambda env: still))
+    return built, played
+
+
+def test_each_part_is_taken_away_in_a_game_of_its_own_and_worlds_are_built_once(games):
+    built, played = games
+    rows = ablate(ExploreBase(count=2), "explore-v3", 3, ["mine", "other"])
+    assert [(row.team, row.without) for row in rows] == [
+        (team, part) for team in ("mine", "other") for part in GOAL_ABLATIONS
+    ]
+    assert [row.difference.value for row in rows] == [0.0, 0.0, 0.0, -5.0, 0.0] * 2
+    assert [whole for *_, whole in played[:5]] == [True, False, False, True, True]
+    assert [(task.talk, task.radio == PERFECT_RADIO) for task in built] == [
+        ("all", False),
+        ("base", False),
+        ("all", True),
+    ]
+
+
+@pytest.mark.usefixtures("games")
+def test_the_command_prints_the_table_and_keeps_the_rows(tmp_path):
+    file = tmp_path / "rows.json"
+    words = ["teams", "explore-v3", "packaged", "--ablate", "--worlds", "3", "--set", "count=2"]
+    found = CliRunner().invoke(app, [*words, "--engine", "c", "--json", str(file)])
+    assert found.exit_code == 0, found.output
+    assert "| packaged | messages | 6.0 | -5.0" in found.output
+    kept = json.loads(file.read_text())
+    assert (kept["task"], kept["split"], kept["settings"]) == ("explore-v3", "test", ["count=2"])
+    assert [row["without"] for row in kept["rows"]] == list(GOAL_ABLATIONS)
+    assert kept["rows"][3]["by_world"] == [5.0, 6.0, 7.0]
