@@ -175,7 +175,7 @@ class Timeline:
         assert isinstance(page.source, RecordingSource)
         self._source, self._now, self._before = page.source, now, now()
         self.playing, self.speed = True, SPEEDS[USUAL_SPEED]
-        self._shown_at, self._moves = 0.0, False
+        self._shown_at = 0.0
         gui, source = page.server.gui, self._source
         with gui.add_folder("Recording"):
             self._button = gui.add_button("Pause", hint="Play or pause")

@@ -43,7 +43,6 @@ DIGITS = 6
 HASH_LENGTH = 16
 """Hexadecimal digits of a policy's hash."""
 SUFFIX = ".result.json"
-USUAL_SUITE = "teams-v1"
 
 
 @dataclass(frozen=True, kw_only=True)

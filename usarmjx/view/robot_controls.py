@@ -298,7 +298,7 @@ class SpawnForm:
         controls: WorldControls,
         do: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._world, self._controls, self._floor = world, controls, drawing.floor
+        self._world, self._controls = world, controls
         self._starts: Sequence[StartPoseChoice] = controls.starts(world)
         classes = tuple(controls.classes)
         self._class = gui.add_dropdown(

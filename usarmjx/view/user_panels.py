@@ -54,7 +54,7 @@ class SensorPlot:
     """
 
     def __init__(self, gui: viser.GuiApi, title: str, size: int) -> None:
-        self._over_time, self._size = size <= MAX_LINES, size
+        self._over_time = size <= MAX_LINES
         self._past: deque[np.ndarray] = deque(maxlen=MAX_POINTS)
         lines = size if self._over_time else 1
         series = ({"label": "t" if self._over_time else "n"}, *map(_line, range(lines)))

@@ -43,8 +43,6 @@ RIDGE_SLOPE_RATE, MAX_RIDGE_SLOPE = math.radians(350), math.radians(40)
 """Slope of a ridge over the height of a step [rad/m], and the steepest [rad]."""
 POSTS = 3
 """Number of posts along each side of a step field."""
-BARS = 3
-"""Number of bars across a way."""
 MAX_OBSTACLE_SOLIDS = POSTS**2
 """Largest number of solids of one obstacle."""
 Obstacle = Callable[[RandomStream, Position2D, float, int], list[Shape]]

@@ -20,8 +20,6 @@ from usarmjx.sensors.rays.warp_kinds import cone_box_distance, cone_sphere_dista
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
-WARP_SIZE = wp.constant(32)
-"""Lanes of a warp."""
 KEYS_PER_LANE = 4
 """Geoms whose distances a lane holds during a pass."""
 SLOT_BITS = wp.constant(wp.uint32(255))

@@ -25,8 +25,6 @@ PADDING_DISTANCE = 1e6
 GeomType = mujoco.mjtGeom
 
 
-BlockKey = tuple[int, str]
-"""Geom type and material of a block."""
 MIN_GRADIENT_COSINE = 1e-3
 """Lowest cosine of incidence in gradients."""
 

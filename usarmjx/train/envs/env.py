@@ -282,6 +282,7 @@ class EnvBatch(Batch):
     """
 
     def __init__(self, program_cache: ProgramCache | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
+        # First: programs look for it while the batch is built.
         self._program_cache = program_cache
         super().__init__(*args, **settings)
 
