@@ -1,4 +1,4 @@
-"""Lengths of files and functions, one meaning of each class name, and references in texts."""
+"""Lengths of files and functions, one meaning of each class name, and what texts refer to."""
 
 import ast
 import re
@@ -128,6 +128,54 @@ def lost_references(source: str, modules: dict[str, set[str]]) -> list[str]:
     return [one for one in lost if one.split(".")[0] not in arguments]
 
 
+ENTRY = re.compile(r"    (\w+(?:, \w+)*): ")
+
+
+def entries(node: ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef, title: str) -> Iterator[str]:
+    """Names that a section of a docstring describes."""
+    if f"{title}:\n" not in (ast.get_docstring(node, clean=False) or ""):  # cleaning takes its time
+        return
+    _, _, section = f"{ast.get_docstring(node)}\n".partition(f"\n{title}:\n")
+    for line in section.splitlines():
+        if line and not line.startswith(" "):
+            return
+        if found := ENTRY.match(line):
+            yield from found[1].split(", ")
+
+
+def arguments_of(node: ast.FunctionDef | ast.AsyncFunctionDef) -> set[str]:
+    return {one.arg for one in ast.walk(node.args) if isinstance(one, ast.arg)}
+
+
+def held_by(node: ast.ClassDef) -> set[str]:
+    """What a class defines or sets, in its body or in its methods."""
+    found = {one.attr for one in ast.walk(node) if isinstance(one, ast.Attribute)}
+    for one in node.body:
+        if isinstance(one, ast.FunctionDef):
+            found.add(one.name)
+        elif isinstance(one, ast.AnnAssign | ast.Assign):
+            found |= {part.id for part in ast.walk(one) if isinstance(part, ast.Name)}
+    return found
+
+
+def gone_entries(tree: ast.Module) -> list[str]:
+    """Arguments and attributes that docstrings describe, and that there are not."""
+    gone = list[str]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            known = {"Attributes": held_by(node)}
+            for maker in node.body:
+                if isinstance(maker, ast.FunctionDef) and maker.name == "__init__":
+                    known["Args"] = arguments_of(maker)
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            known = {"Args": arguments_of(node)}
+        else:
+            continue
+        for title, names in known.items():
+            gone += [f"{node.name}: {name}" for name in entries(node, title) if name not in names]
+    return gone
+
+
 def edits_path(text: str) -> bool:
     """Whether a module changes where Python looks for modules."""
     return "sys.path" in text and any(
@@ -167,6 +215,11 @@ def test_what_texts_refer_to_exists():
     assert {name: references for name, references in lost.items() if references} == {}
 
 
+def test_docstrings_describe_what_there_is():
+    gone = {name_of(path): gone_entries(tree_of(path)) for path in SOURCES}
+    assert {name: found for name, found in gone.items() if found} == {}
+
+
 def test_tests_import_each_other_from_the_root():
     """Not by adding folders to sys.path, where two files of the same name are one."""
     assert [path.name for path in TESTS if edits_path(path.read_text(encoding="utf-8"))] == []
@@ -203,3 +256,38 @@ def f(batch):
     # See `batch.scene`, `scene.py` and `numpy.zeros`, not `sim.gone`.
 '''
     assert lost_references(source, modules) == ["sim.scene.Other", "scene.Gone", "sim.gone"]
+
+
+def test_gone_entries_are_found():
+    source = '''
+class A:
+    """One.
+
+    Args:
+        one, two: Numbers.
+        three: Another.
+
+    Attributes:
+        four: A number:
+            and more: of it.
+        five: Another.
+    """
+
+    four: int
+
+    def __init__(self, one, *, two):
+        self.six = one
+
+    def run(self, seven, *eight):
+        """Run.
+
+        Args:
+            seven: A number.
+            eight: Others.
+            nine: Another.
+
+        Returns:
+            ten: A number.
+        """
+'''
+    assert gone_entries(ast.parse(source)) == ["A: five", "A: three", "run: nine"]

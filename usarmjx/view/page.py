@@ -473,7 +473,7 @@ class ViewerPage:
         drawing: Its drawing.
         frame: Its last frame.
         robot: Slot of the robot that any user chose last.
-        onlookers: Users of the page, by viser's client numbers.
+        viewers: Users of the page, by viser's client numbers.
         layers: Layers over the world, by name.
         after_last: Called when a user goes on from the last robot; shows a picture of all of them and returns
             True, or returns False: the first robot follows.

@@ -271,15 +271,11 @@ async def run_script(
 
 
 class _Talk:
-    """A script that runs.
-
-    Attributes:
-        unseen: Lines since the last one sent, for `@until`.
-    """
+    """A script that runs."""
 
     def __init__(self, client: ConsoleClient, show: Callable[[str], None]) -> None:
         self._client, self._show = client, show
-        self._unseen: list[str] = []
+        self._unseen: list[str] = []  # since the last line that was sent, for `@until`
         self._news = asyncio.Event()
         self._over = False
 

@@ -61,7 +61,7 @@ class RobotConnection:
         writer: Stream to the client.
         peer: Name of the client in the log.
         budget: Processing time of its lines.
-        last_asked: Time of its last legal command [s].
+        last_command_time: Time of its last legal command [s].
         since: Time at which it connected [s].
         steps_after_leaving: Control steps in which it waited for a turn after its other side had closed it.
     """
@@ -141,7 +141,7 @@ class BotServer:
         settings: Settings of the server.
         services: Other services of the world.
         title: Name of the world in the log.
-        tally: Counters of the server.
+        counts: Counters of the server.
         port: The port in use, once started.
         budgets: Processing time of the clients, those of rosbridge too.
         guests: Dialogues of robots without a connection: their reports are thrown away.

@@ -517,7 +517,7 @@ class ConsolePanel:
     Args:
         page: The page.
         worlds: The worlds of the page, by number.
-        seat: Lock of the controls.
+        lock: Lock of the controls.
         tail: Last lines of the log; None when it is not kept.
     """
 

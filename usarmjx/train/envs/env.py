@@ -294,6 +294,7 @@ class Env:
     Args:
         task: The task.
         worlds: Number of worlds.
+        name: Name of the task.
         engine: `warp`, `jax`, `c`, or `auto`.
         seed: Seed of all random numbers, unless `reset` gets another.
         first: Number of the first world. World k is the same alone as in a batch.
