@@ -84,7 +84,7 @@ def test_a_control_step_in_one_call_computes_the_same_bits(usual, monkeypatch):
     """The number of steps in one call of MuJoCo Warp, or in one CUDA graph, does not change the result."""
     engine = engine_of()
     engine.select_graphs("control")
-    assert engine._step_and_count() == (multi_step(engine.physics.substeps, None), 1)
+    assert engine._step_and_count() == (multi_step(engine.physics.substeps, engine._own_step), 1)
     monkeypatch.setattr(engine, "_step_and_count", lambda: MjxEngine._step_and_count(engine))
     found = fallen(engine, 2)[-1]
     assert float(found.time[0]) == pytest.approx(2 * engine.physics.period)

@@ -61,6 +61,8 @@ NO_CONTACT_MARGIN = -1e3
 # Bits of MJX-Warp's overflow word (mujoco_warp OverflowType) for a solver that used all of its iterations,
 # which the capped CG solver does on nearly every step.
 ITERATION_BITS = 512 | 1024
+FORWARD = "mujoco.mjx.third_party.mujoco_warp._src.forward"
+"""Module of the stages of a step; private, the version of MJX is pinned."""
 
 
 def convex_kinds() -> np.ndarray:
@@ -243,6 +245,29 @@ def _passive_without_gravcomp() -> Callable[..., Any]:
     )
 
 
+def _collision(broad_phase: Callable[..., None] | None) -> Callable[..., None]:
+    """Return MuJoCo Warp's collision detection with our narrow phase; for `broad_phase` see below."""
+    # MuJoCo Warp's functions look up their modules as globals: copies with other globals change only our
+    # step.
+    changed = {"_narrowphase": import_module("usarmjx.engines.block.branches").narrow_phase}
+    changed |= {} if broad_phase is None else {"nxn_broadphase": broad_phase}
+    return with_globals(import_module(FORWARD).collision_driver.collision.__wrapped__, **changed)
+
+
+def _position_stage(collision: Callable[..., None]) -> dict[str, object]:
+    """Return the part of a step that has the collision detection, by its name."""
+    stage = import_module(FORWARD).fwd_position.__wrapped__
+    return {"fwd_position": with_globals(stage, collision_driver=SimpleNamespace(collision=collision))}
+
+
+@cache
+def _step_of_warp() -> Callable[..., Any]:
+    """Return MuJoCo Warp's step, with its solver, and with our narrow phase."""
+    forward = import_module(FORWARD)
+    dynamics = with_globals(forward.forward.__wrapped__, **_position_stage(_collision(None)))
+    return with_globals(forward.step.__wrapped__, forward=dynamics)
+
+
 def _step_by_blocks(
     broad_phase: Callable[..., None] | None,
     gravcomp: bool,
@@ -256,17 +281,9 @@ def _step_by_blocks(
         smooth_dynamics: Everything that does not depend on contacts; None: MuJoCo Warp's.
     """
     solve = import_module("usarmjx.engines.block.solver").solve
-    forward = import_module("mujoco.mjx.third_party.mujoco_warp._src.forward")
-    # MuJoCo Warp's functions look up their modules as globals: copies with other globals change only our
-    # step.
-    changed: dict[str, object] = {"solver": SimpleNamespace(solve=solve)}
-    collision = forward.collision_driver.collision
-    if broad_phase is not None:
-        narrow_phase = import_module("usarmjx.engines.block.branches").narrow_phase
-        collision = with_globals(collision.__wrapped__, nxn_broadphase=broad_phase, _narrowphase=narrow_phase)
-        changed["fwd_position"] = with_globals(
-            forward.fwd_position.__wrapped__, collision_driver=SimpleNamespace(collision=collision)
-        )
+    forward = import_module(FORWARD)
+    collision = _collision(broad_phase)
+    changed: dict[str, object] = {"solver": SimpleNamespace(solve=solve)} | _position_stage(collision)
     if not gravcomp:
         passive = SimpleNamespace(passive=_passive_without_gravcomp())
         changed["fwd_velocity"] = with_globals(forward.fwd_velocity.__wrapped__, passive=passive)
@@ -283,28 +300,26 @@ def _step_by_blocks(
 
 
 @cache
-def multi_step(count: int, one_step: Callable[[Any, Any], None] | None) -> Callable[[Any, Any], Any]:
+def multi_step(count: int, one_step: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
     """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
 
     Args:
         count: Physics steps.
-        one_step: A step of all worlds on Warp's arrays; None: MuJoCo Warp's.
+        one_step: A step of all worlds on Warp's arrays.
 
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
     """
     check_mjx_version()
     forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
-    # Not `step`, which is the function of JAX below: a GPU would call that from within itself.
-    physics_step = one_step or forward.mjwarp.step
-    replay = LaunchReplay(physics_step)
+    replay = LaunchReplay(one_step)
 
     def run_kernels(model: object, data: object) -> None:
         if jax.default_backend() == "cpu":
             replay.run(model, data, count)
             return
         for _ in range(count):
-            physics_step(model, data)
+            one_step(model, data)
 
     shim = with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
     call = with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
@@ -475,16 +490,15 @@ class WarpEngine(MjxEngine):
             self.mx = self.mx.tree_replace({"opt._impl.graph_mode": mode})
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
-        count, own = self.physics.substeps, self._own_step
-        if own is not None and jax.default_backend() != "cpu":
+        count = self.physics.substeps
+        if jax.default_backend() != "cpu":
             # Streams cannot be made while a graph is captured, which happens at the first step.
             import_module("usarmjx.engines.block.branches").branches_of(_warp_device())  # makes its streams
-        if jax.default_backend() != "cpu":
             self._load_kernels()
         if self._graphs.control_step or jax.default_backend() == "cpu":
             # The number of calls is 1: the substeps are inside.
-            return multi_step(count, own), 1
-        return super()._step_and_count() if own is None else (multi_step(1, own), count)
+            return multi_step(count, self._own_step), 1
+        return multi_step(1, self._own_step), count
 
     def _load_kernels(self) -> None:
         """Start to load the kernels of a step; a program that was kept finds them in Warp's cache."""
@@ -498,7 +512,6 @@ class WarpEngine(MjxEngine):
         """Return the modules of the kernels that a physics step launches, those with most code first."""
         wp, mjwarp = import_module("warp"), import_module("mujoco.mjx.warp.forward").mjwarp
         check_mjx_version()
-        step = self._own_step or mjwarp.step
         contacts, rows = self._contacts, self._row_budget(self.model)
         # No kernel depends on the number of worlds, nor is any launched here. Some would be where arrays are.
         with wp.ScopedDevice(_warp_device() or "cpu"):
@@ -506,13 +519,13 @@ class WarpEngine(MjxEngine):
             data = mjwarp.make_data(self._compiled, nworld=1, naconmax=contacts, njmax=rows)
             # It is compiled into some of them.
             model.opt.warn_overflow = cast("Any", self.mx).opt._impl.warn_overflow
-            return modules_of(partial(step, model, data))
+            return modules_of(partial(self._own_step, model, data))
 
     @cached_property
-    def _own_step(self) -> Callable[[Any, Any], None] | None:
-        """Physics step with solver `block`, on Warp's arrays; None: MuJoCo Warp's is taken."""
+    def _own_step(self) -> Callable[[Any, Any], None]:
+        """Physics step on Warp's arrays, with the solver that is taken."""
         if self.solver != "block":
-            return None
+            return _step_of_warp()
         gravcomp = bool(self.model.body_gravcomp.any())
         return _step_by_blocks(self._broad_phase, gravcomp, self._smooth_dynamics)
 

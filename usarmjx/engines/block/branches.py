@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from usarmjx.base.warp_functions import with_globals
+from usarmjx.engines.warp_near_boxes import near_collider
 
 warp: Any = import_module("warp")
 DRIVER = "mujoco.mjx.third_party.mujoco_warp._src.collision_driver"
@@ -89,8 +90,9 @@ def narrow_phase(m: Any, d: Any, context: Any) -> None:  # noqa: ANN401 - MuJoCo
         warp.launch(kernel, inputs=inputs, stream=branches.stream(len(kinds)), **kwargs)
 
     changed = {"launch": launch, "zeros": hold(warp.zeros), "empty": hold(warp.empty)}
-    convex = driver.convex_narrowphase.__wrapped__
+    replaced: dict[str, Any] = {"ccd_kernel_builder": near_collider}
     if len(branches):
-        convex = with_globals(convex, wp=SimpleNamespace(**vars(warp) | changed))
+        replaced["wp"] = SimpleNamespace(**vars(warp) | changed)
+    convex = with_globals(driver.convex_narrowphase.__wrapped__, **replaced)
     with_globals(driver._narrowphase, convex_narrowphase=convex)(m, d, context)
     branches.join()

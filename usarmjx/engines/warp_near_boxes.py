@@ -1,0 +1,140 @@
+"""MuJoCo Warp's convex collider with boxes cut to what is near the other geom.
+
+Its numbers have 24 bits. Beside a box of 20 m they tell penetrations of a tenth of a millimetre apart only by
+a part of their size: wheels that stand on such a ramp then slip a hundredth of a metre a second. The distance
+of two geoms depends on the near part of a box alone, so the collider gets a box of that.
+"""
+
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import warp as wp
+
+from usarmjx.base.warp_functions import with_globals
+
+# Private; the version of MJX is pinned.
+_core: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_core")
+_convex: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_convex")
+_pair_of_types: Any = _core.geom_collision_pair_from_types
+
+SPHERE = wp.constant(int(_convex.GeomType.SPHERE))
+CAPSULE = wp.constant(int(_convex.GeomType.CAPSULE))
+ELLIPSOID = wp.constant(int(_convex.GeomType.ELLIPSOID))
+CYLINDER = wp.constant(int(_convex.GeomType.CYLINDER))
+BOX = wp.constant(int(_convex.GeomType.BOX))
+NEAR = wp.constant(1.0)
+"""Farthest that the middle of a cut box is from the other geom, along each axis of the box [m].
+
+At this size single precision suffices.
+"""
+REACH_RADII = wp.constant(5.0)
+"""Least distance from the other geom's middle to a cut, in radii of that geom.
+
+A geom that is less than three radii deep in a box leaves it by a face of its own, not by a cut.
+"""
+CELL = wp.constant(0.5)
+"""Edge of the cells in which cuts stay as they are [m]."""
+
+
+@wp.func
+def bounding_radius(kind: int, size: wp.vec3) -> float:
+    """Return the radius of a sphere around a geom's middle [m]; of a mesh -1, which has none here."""
+    radius = wp.float32(-1.0)
+    if kind == SPHERE:
+        radius = size[0]
+    elif kind == CAPSULE:
+        radius = size[0] + size[1]
+    elif kind == CYLINDER:
+        radius = wp.sqrt(size[0] * size[0] + size[1] * size[1])
+    elif kind == BOX:
+        radius = wp.length(size)
+    elif kind == ELLIPSOID:
+        radius = wp.max(wp.max(size[0], size[1]), size[2])
+    return radius
+
+
+@wp.func
+def cut_box(box: Any, kind: int, other: wp.vec3, radius: float) -> Any:  # noqa: ANN401 - Warp's
+    """Return a geom cut to what is near another's middle, if it is a box and reaches farther."""
+    near = box
+    half = NEAR + REACH_RADII * radius + CELL
+    if kind == BOX and radius >= 0.0 and wp.max(wp.max(box.size[0], box.size[1]), box.size[2]) > half:
+        place = wp.transpose(box.rot) @ (other - box.pos)
+        middle, size = wp.vec3(0.0, 0.0, 0.0), box.size
+        for i in range(3):
+            # The collider begins at the middles: where these move, it ends at another point of an edge that
+            # lies on a face. So a middle stays, or moves no farther than it must, and in cells.
+            cell = wp.round(place[i] / CELL) * CELL
+            near_middle = wp.clamp(0.0, cell - NEAR, cell + NEAR)
+            low, high = wp.max(-box.size[i], near_middle - half), wp.min(box.size[i], near_middle + half)
+            if high > low:
+                middle[i] = 0.5 * (high + low)
+                size[i] = 0.5 * (high - low)
+        near.pos = box.pos + box.rot @ middle
+        near.size = size
+    return near
+
+
+@wp.func
+def near_pair(  # noqa: ANN201 - Warp takes an annotation as the type in C
+    geom_dataid: wp.array2d[int],
+    geom_size: wp.array2d[wp.vec3],
+    mesh_vertadr: wp.array[int],
+    mesh_vertnum: wp.array[int],
+    mesh_graphadr: wp.array[int],
+    mesh_vert: wp.array[wp.vec3],
+    mesh_graph: wp.array[int],
+    mesh_polynum: wp.array[int],
+    mesh_polyadr: wp.array[int],
+    mesh_polynormal: wp.array[wp.vec3],
+    mesh_polyvertadr: wp.array[int],
+    mesh_polyvertnum: wp.array[int],
+    mesh_polyvert: wp.array[int],
+    mesh_polymapadr: wp.array[int],
+    mesh_polymapnum: wp.array[int],
+    mesh_polymap: wp.array[int],
+    geom_xpos_in: wp.array2d[wp.vec3],
+    geom_xmat_in: wp.array2d[wp.mat33],
+    geom_type1: int,
+    geom_type2: int,
+    geoms: wp.vec2i,
+    worldid: int,
+):
+    """Return two geoms as `geom_collision_pair_from_types` does, each cut to what is near the other."""
+    one, other = _pair_of_types(
+        geom_dataid,
+        geom_size,
+        mesh_vertadr,
+        mesh_vertnum,
+        mesh_graphadr,
+        mesh_vert,
+        mesh_graph,
+        mesh_polynum,
+        mesh_polyadr,
+        mesh_polynormal,
+        mesh_polyvertadr,
+        mesh_polyvertnum,
+        mesh_polyvert,
+        mesh_polymapadr,
+        mesh_polymapnum,
+        mesh_polymap,
+        geom_xpos_in,
+        geom_xmat_in,
+        geom_type1,
+        geom_type2,
+        geoms,
+        worldid,
+    )
+    here, there = one.pos, other.pos
+    one_radius = bounding_radius(geom_type1, one.size)
+    other_radius = bounding_radius(geom_type2, other.size)
+    return cut_box(one, geom_type1, there, other_radius), cut_box(other, geom_type2, here, one_radius)
+
+
+@cache
+def near_collider(*args: int) -> Any:  # noqa: ANN401 - Warp's
+    """Return the kernel that MuJoCo Warp's builder returns for the same arguments, with boxes cut."""
+    return with_globals(_convex.ccd_kernel_builder.__wrapped__, geom_collision_pair_from_types=near_pair)(
+        *args
+    )
