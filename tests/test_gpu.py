@@ -13,7 +13,7 @@ from tests.arenas import COURSE
 from tests.engines.crowds import as_the_engine_has_it, crowd
 from tests.engines.eager import EAGER
 from tests.engines.test_planar_contact import PEN
-from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
+from tests.sim.test_arena_sets import ARENAS, BLOCK_STEPS, EXACT, TOLERANCE, drive
 from tests.train.envs.test_steady import goal_env, live_bytes, used_after
 from tests.train.mapping.mazes import mazes
 from usarmjx.base.warp_functions import warp_in_use
@@ -161,7 +161,7 @@ def test_worlds_with_arenas_of_their_own_agree_with_c():
     poses, scans = {}, {}
     for engine in ("c", "warp"):
         batch = Batch(scene, 3 if engine == "c" else 64, engine=engine)
-        state, readings = drive(batch)
+        state, readings = drive(batch, BLOCK_STEPS)
         batch.check_overflow(state)
         poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.groups[0].root_qposadr]
         place = scene.groups[0].suite.index("RangeScanner")
