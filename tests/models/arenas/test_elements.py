@@ -26,6 +26,7 @@ from usarmjx.models.arenas.pieces import (
     cinder_block,
     cover_boxes,
     deck,
+    drum,
     loose_board,
     loose_cinder_block,
     loose_pipe,
@@ -269,6 +270,12 @@ def test_a_rubble_pile_is_the_same_for_the_same_seed_and_reaches_the_ground():
     far = np.hypot(*over.T)
     assert 0.6 <= found.max() < 0.85, "tilted chunks stick out by some of their half width"
     assert found[far < 0.3].mean() > 3 * found[far > 0.7].mean(), "a cone"
+
+
+def test_corners_of_a_drum_lie_on_its_circle():
+    for shape in drum("a", (0, 0), 15.0, radius=0.2, height=0.6).shapes:
+        assert np.hypot(*shape.size[:2]) == pytest.approx(0.2)
+        assert shape.size[2] == 0.3
 
 
 def test_loose_debris_lies_where_it_is_put_and_stays():

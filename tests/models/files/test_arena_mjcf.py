@@ -175,6 +175,13 @@ def test_a_hinged_box_becomes_a_door_that_turns_as_in_the_file(tmp_path):
         np.testing.assert_allclose(np.abs(turn), np.eye(3), atol=EXACT)  # one box, perhaps half a turn on
 
 
+def test_a_door_has_the_colour_of_its_material(tmp_path):
+    text = THINGS.replace('mass="6"', 'mass="6" material="red"')
+    text = text.replace("<asset>", '<asset><material name="red" rgba="1 0 0 1"/>')
+    content = mjcf_content(write(tmp_path / "things.xml", text))
+    assert [door.rgba for door in content.doors] == [(1.0, 0.0, 0.0, 1.0)]
+
+
 BODY = "<mujoco><worldbody>{}</worldbody>{}</mujoco>"
 HINGED = '<body name="b"><joint {}/><geom type="box" size=".4 .1 .5" pos=".4 0 0"/>{}</body>'
 

@@ -260,6 +260,27 @@ def test_solids_stay_and_meshes_become_hulls(write):
     ]
 
 
+def test_solids_have_the_colour_in_which_mujoco_draws_them(write):
+    """That of their material, unless they have one of their own."""
+    colours = ("", 'material="m"', 'material="m" rgba="0 0 1 1"', 'material="m" rgba=".5 .5 .5 1"')
+    geoms = [f'<geom size=".1" {colour}/>' for colour in colours]
+    asset = (
+        '<asset><material name="m" rgba="1 0 0 .5"/><mesh name="t" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
+    )
+    mesh = '<geom type="mesh" mesh="t" material="m"/>'
+    text = f'<mujoco>{asset}<worldbody><body name="b">{mesh}{"".join(geoms)}</body></worldbody></mujoco>'
+    path = write(text)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, len(geoms) + 1)
+    mujoco.mj_forward(model, data)
+    everything = mujoco.mjtCatBit.mjCAT_ALL
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+    drawn = {geom.objid: geom.rgba.tolist() for geom in scene.geoms[: scene.ngeom]}
+    shapes = load_robot(path, name="Ball").robot.chassis
+    assert [shape.rgba for shape in shapes] == [tuple(drawn[i]) for i in range(model.ngeom)]
+    assert len({shape.rgba for shape in shapes}) == 3
+
+
 def test_actuators_become_motors_with_their_gains_and_limits(write):
     robot = robot_from_mjcf(write(CAR), name="Car", drive=SKID, max_speed=7.0)
     pan, zoom, front_left, front_right, rear_left, rear_right = robot.parts

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from usarmjx.base.errors import SpecError
+from usarmjx.models.ini.items import MAX_BASE_CLASSES
 from usarmjx.models.ini.parse import MAX_INI_BYTES, MAX_LINES, parse_ini, read_ini
-from usarmjx.models.ini.robots import MAX_BASE_CLASSES, load_robots
+from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 
 BRIEFLY = 10.0

@@ -145,7 +145,7 @@ class CWorld:
         return np.concatenate([self.pose(index), self.data.qpos[list(index.qposadr)]])
 
     def place(self, index: RobotIndex, pos: Array, quat: Array) -> None:
-        """Teleport a robot to a pose [m], at rest."""
+        """Teleport a robot to a pose [m], at rest; its joints stay as they are and go on turning."""
         root = index.root_qposadr
         self.data.qpos[root : root + 7] = (*pos, *quat)
         self.data.qvel[index.root_dofadr : index.root_dofadr + 6] = 0.0

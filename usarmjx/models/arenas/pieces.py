@@ -455,11 +455,12 @@ def brick(name: str, at: tuple[float, float], *, z: float = 0.0, yaw: float = 0.
 def drum(
     name: str, at: tuple[float, float], mass: float, radius: float = 0.2, height: float = 0.6
 ) -> LooseObject:
-    """Return a loose upright drum: two boxes across each other make its eight sides.
+    """Return a loose upright drum as two boxes across each other, with eight corners.
 
-    Eight corners instead of a round wall, as engine `jax` has no contacts between cylinders.
+    Engine `jax` has no contacts between cylinders.
     """
-    half = radius * math.cos(math.pi / 8)
+    # Corners of both boxes lie on the drum's circle.
+    half = radius / math.sqrt(2)
     shapes = tuple(
         Shape(
             kind="box",

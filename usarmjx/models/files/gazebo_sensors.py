@@ -249,13 +249,12 @@ def _skid_plugin(plugin: LinedElement, source: RobotSource) -> StatedDrive:
         "leftRearJoint",
         "front_left_joint",
         "back_left_joint",
+        "rear_left_joint",
     )
-    right = tuple(
-        name.replace("left", "right").replace("Left", "Right") for name in (*left, "rear_left_joint")
-    )
+    right = tuple(name.replace("left", "right").replace("Left", "Right") for name in left)
     return StatedDrive(
         kind="skid",
-        left=_words(plugin, *left, "rear_left_joint"),
+        left=_words(plugin, *left),
         right=_words(plugin, *right),
         separation=_number(plugin, "wheel_separation", "wheelSeparation"),
         radius=_wheel_radius(plugin),

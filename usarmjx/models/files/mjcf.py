@@ -19,6 +19,7 @@ from usarmjx.models.files.mjcf_solids import (
     KINDS,
     SIZES,
     Pose,
+    geom_colour,
     mat_of,
     usarsim_angles,
     usarsim_vector,
@@ -28,7 +29,7 @@ from usarmjx.models.files.reader_process import try_model
 from usarmjx.models.files.robot_source import left_out
 from usarmjx.models.files.xml_file import check_model_size, drop_sizes
 from usarmjx.models.types.arena import Door, LooseObject
-from usarmjx.models.types.shapes import BodyInertia, HeightField, Shape
+from usarmjx.models.types.shapes import BodyInertia, HeightField, Rgba, Shape
 
 TRANSMISSIONS: Any = mujoco.mjtTrn  # its stubs lack some
 AXIS_TOLERANCE = 1e-3
@@ -155,9 +156,7 @@ class Hinge:
     friction: float
 
 
-def door_of(
-    name: str, pose: Pose, half: np.ndarray, hinge: Hinge, mass: float, rgba: tuple[float, ...]
-) -> Door:
+def door_of(name: str, pose: Pose, half: np.ndarray, hinge: Hinge, mass: float, rgba: Rgba) -> Door:
     """Return a box that turns about a hinge as a door.
 
     Args:
@@ -195,7 +194,6 @@ def door_of(
     x, y = hinge.anchor[:2].tolist()
     # `Door` leaves a gap below its leaf: with the size below, the leaf is where the file has it.
     foot = float(pose.pos[2] - half[up]) - DOOR_GAP
-    red, green, blue, alpha = rgba
     return Door(
         name=name,
         at=(x, y, foot),
@@ -204,7 +202,7 @@ def door_of(
         limits=(low, high),
         mass=mass,
         friction=hinge.friction,
-        rgba=(red, green, blue, alpha),
+        rgba=rgba,
     )
 
 
@@ -280,15 +278,13 @@ def geom_shapes(
     Raises:
         ArenaFileError: A geom of a kind that arenas do not have, or a flat mesh.
     """
-    kind, material = GeomType(model.geom_type[geom]), int(model.geom_matid[geom])
-    colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-    red, green, blue, alpha = colour.tolist()
+    kind = GeomType(model.geom_type[geom])
     like = Shape(
         kind="box",
         at=flip_vector(usarsim_vector(pose.pos)),
         rotation=flip_angles(usarsim_angles(pose.mat)),
         surface=surface,
-        rgba=(red, green, blue, alpha),
+        rgba=geom_colour(model, geom),
     )
     if kind in KINDS:
         form = KINDS[kind]
@@ -581,7 +577,7 @@ class _MjcfReader:
                 model.geom_size[geom],
                 hinge,
                 mass=float(model.body_mass[body]),
-                rgba=tuple(model.geom_rgba[geom].tolist()),
+                rgba=geom_colour(model, geom),
             )
         except ArenaFileError as error:
             raise self._error(str(error)) from error

@@ -9,7 +9,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import angles_from_mat, flip_angles, flip_vector
 from usarmjx.models.compile.geoms import Inertia
 from usarmjx.models.types.robot import Vec3
-from usarmjx.models.types.shapes import Shape
+from usarmjx.models.types.shapes import Rgba, Shape
 
 KINDS = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",
@@ -21,6 +21,8 @@ KINDS = {
 """Kinds of shapes by MuJoCo's geom types."""
 SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 """Number of size numbers of each kind."""
+DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
+"""Colour of geoms for which a file has none; any other wins over their material's."""
 INERTIA_TOLERANCE = 1e-6
 """Relative difference of masses and inertias that is neglected."""
 GIMBAL_TOLERANCE = 1e-7
@@ -67,6 +69,15 @@ def usarsim_angles(mat: np.ndarray) -> Vec3:
     return (roll, pitch, yaw)
 
 
+def geom_colour(model: mujoco.MjModel, geom: int) -> Rgba:
+    """Return the colour in which MuJoCo draws a geom."""
+    material, own = int(model.geom_matid[geom]), tuple(model.geom_rgba[geom].tolist())
+    # The default cannot be told from a colour that was not written.
+    if material >= 0 and own == DEFAULT_RGBA:
+        own = tuple(model.mat_rgba[material].tolist())
+    return own
+
+
 def shape_of(model: mujoco.MjModel, geom: int, frame: Pose, surface: str, mass: float) -> Shape:
     """Return a geom as a shape of a part; `frame` is the pose of the geom's body in the part's axes.
 
@@ -79,7 +90,6 @@ def shape_of(model: mujoco.MjModel, geom: int, frame: Pose, surface: str, mass: 
         raise SpecError(f"geom {name} is a {kind.name[7:].lower()}; robots have {', '.join(KINDS.values())}")
     placed = frame.compose(model.geom_pos[geom], model.geom_quat[geom])
     touches = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
-    red, green, blue, alpha = model.geom_rgba[geom].tolist()
     return Shape(
         kind=KINDS[kind],  # type: ignore[arg-type]
         size=tuple(model.geom_size[geom][: SIZES[KINDS[kind]]].tolist()),
@@ -87,7 +97,7 @@ def shape_of(model: mujoco.MjModel, geom: int, frame: Pose, surface: str, mass: 
         rotation=usarsim_angles(placed.mat),
         mass=mass,
         surface=surface if touches else "fixture",
-        rgba=(red, green, blue, alpha),
+        rgba=geom_colour(model, geom),
     )
 
 

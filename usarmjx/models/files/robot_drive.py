@@ -22,6 +22,7 @@ from usarmjx.models.files.mjcf_solids import (
     KINDS,
     Pose,
     agrees,
+    geom_colour,
     geom_inertia,
     shape_of,
     usarsim_angles,
@@ -279,8 +280,7 @@ class BodyTree:
         mesh = int(model.geom_dataid[geom])
         first = int(model.mesh_vertadr[mesh])
         corners = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
-        red, green, blue, alpha = model.geom_rgba[geom].tolist()
-        like = Shape(kind="mesh", surface=self._surface(geom, surface), rgba=(red, green, blue, alpha))
+        like = Shape(kind="mesh", surface=self._surface(geom, surface), rgba=geom_colour(model, geom))
         if owner != self.owners[0] and self.turns_freely(owner):
             axis = np.array(model.jnt_axis[self.joint_of(owner)])
             drum = round_about(corners @ placed.mat.T + placed.pos, axis, np.zeros(3))

@@ -142,7 +142,7 @@ MAX_EXAMPLES = 3
 Settings = Mapping[str, type]
 """Dataclass of the settings of each type of item, with fields named after ini keys."""
 
-PREFIX = "usarbot."
+ROBOT_PREFIX = "usarbot."
 """Prefix of sections of robots and items."""
 
 BASE_KEY = "BaseClass"
@@ -402,8 +402,8 @@ def _based(files: Sequence[IniFile]) -> dict[str, list[Section]]:
     found: dict[str, list[Section]] = {}
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
-            if name.startswith(PREFIX):
-                found.setdefault(name.removeprefix(PREFIX), []).append(file.section(name))
+            if name.startswith(ROBOT_PREFIX):
+                found.setdefault(name.removeprefix(ROBOT_PREFIX), []).append(file.section(name))
     return {name: parts for name, parts in found.items() if _base_line(parts) is not None}
 
 

@@ -433,7 +433,7 @@ def _hinge_part(pair: JointPair) -> Part:
     )
 
 
-PREFIX = "usarmispkg."
+PACKAGE_PREFIX = "usarmispkg."
 """Prefix of sections of packages."""
 LINK_FIELDS = (
     "Number", "Parent", "Location", "Orientation", "MaxSpeed", "MaxTorque", "MinRange", "MaxRange",
@@ -483,7 +483,7 @@ def read_packages(files: Sequence[IniFile], notes: WarningLog) -> Definitions:
     found: dict[str, Definition] = {}
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
-            if not name.startswith(PREFIX):
+            if not name.startswith(PACKAGE_PREFIX):
                 continue
             section = file.section(name)
             by_uu = section.last("bMountByUU")
@@ -494,7 +494,8 @@ def read_packages(files: Sequence[IniFile], notes: WarningLog) -> Definitions:
             links = tuple(_link_line(line, units, notes) for line in section.get_all("Links"))
             _check_tree(links)
             offset = section.last("TipOffset")
-            own, before = name.removeprefix(PREFIX), found.get(name.removeprefix(PREFIX), Definition())
+            own = name.removeprefix(PACKAGE_PREFIX)
+            before = found.get(own, Definition())
             if links or offset is not None:
                 tip = before.tip if offset is None else as_vector(offset, offset.value, "TipOffset")
                 found[own] = Definition(links or before.links, tip)

@@ -24,6 +24,8 @@ from usarmjx.models.ini.items import (
     ITEM_LISTS,
     KNOWN_IGNORED,
     LATER_ITEM_CLASSES,
+    MAX_BASE_CLASSES,
+    ROBOT_PREFIX,
     SECTIONS_ELSEWHERE,
     ItemClasses,
     Settings,
@@ -34,7 +36,7 @@ from usarmjx.models.ini.items import (
     read_settings,
     with_defaults,
 )
-from usarmjx.models.ini.pairs import PREFIX, known_packages, read_packages, redefine
+from usarmjx.models.ini.pairs import PACKAGE_PREFIX, known_packages, read_packages, redefine
 from usarmjx.models.ini.parameters import LENGTHS, SETTERS, STEREO_KEYS, TRACKS, read_tracks
 from usarmjx.models.ini.parse import (
     UU_PER_METRE,
@@ -280,8 +282,6 @@ def _list_of(item: str) -> str:
     return "AddEffecters" if kind in ("Gripper", "RFIDReleaser", "RollerTable", "Vacuum") else "AddSensors"
 
 
-ROBOT_PREFIX = "usarbot."
-"""Prefix of sections of robots and items."""
 LISTS = (*ITEM_LISTS, "MisPkgs", "Wheels")
 """Keys that replace a list."""
 ADDS = tuple(f"Add{name}" for name in (*ITEM_LISTS, "MisPkgs"))
@@ -290,9 +290,6 @@ JOINT_KEYS = ("JointParts", "JointPart")
 """Spellings of the key of part-joint pairs."""
 OTHER_KEYS = ("BaseClass", "Dimensions", "CenterOfMass", "bMountByUU", "bAbsoluteCamera")
 """Further keys of one value."""
-
-MAX_BASE_CLASSES = 32
-"""Largest length of a chain of base classes."""
 
 
 @dataclass
@@ -331,7 +328,7 @@ def sort_sections(
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
             section = file.section(name)
             some = section.lines or section.removals
-            if name.startswith(PREFIX) or not some or name.removeprefix(ROBOT_PREFIX) in classes:
+            if name.startswith(PACKAGE_PREFIX) or not some or name.removeprefix(ROBOT_PREFIX) in classes:
                 continue
             if name in map(str.lower, SECTIONS_ELSEWHERE):
                 continue
