@@ -660,6 +660,7 @@ def borne_inertias(tree: BodyTree) -> dict[int, float]:
     for foot in feet:
         place = np.mean([data.geom_xpos[geom] for geom in tree.touching_geoms(foot)], axis=0)
         up = data.xmat[tree.owners[0]].reshape(3, 3)[:, 2]
+        # A foot stands on its underside, not at the middle of its geoms.
         place = place + up * (ground - float(up @ (place - data.xpos[tree.owners[0]])))
         owner = foot
         while owner != tree.owners[0]:
@@ -667,6 +668,7 @@ def borne_inertias(tree: BodyTree) -> dict[int, float]:
             lever = 1.0
             if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
                 lever = float(np.linalg.norm(np.cross(data.xaxis[joint], place - data.xanchor[joint])))
+            # Mass at a lever: the inertia that the joint feels; a slide's lever is 1.
             found[owner] = found.get(owner, 0.0) + share * lever**2
             owner = tree.holder_of(owner)
     return found

@@ -229,6 +229,7 @@ def _weigh_chassis(root: Any, source: RobotSource) -> None:  # noqa: ANN401
     """Give a chassis without mass, which the file holds on the world, the little that MuJoCo needs."""
     model = source.spec.compile()
     own = model.body(source.root).id
+    # Bodies without a joint between them are one to MuJoCo: mass anywhere in it is enough.
     rigid = model.body_weldid == model.body_weldid[own]
     below = np.array([body >= own and model.body_rootid[body] == own for body in range(model.nbody)])
     if model.body_mass[rigid & below].sum() > 0:

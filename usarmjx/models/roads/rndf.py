@@ -445,6 +445,7 @@ def _segment(
     lines.end("end_segment", "segment", "zone", "end_file")
     ordered = tuple(lanes[found] for found in sorted(lanes))
     segments[number] = RoadSegment(lanes=ordered, name=head.get("segment_name", ""))
+    # A wrong count of segments shows only here, behind the last one.
     lines.fault_lines["behind", "segments"] = lines.line
 
 
