@@ -115,5 +115,6 @@ def nearest_of_rows(distance: Array, count: int) -> Array:
         del batched
         return nearest_of_rows(rows, count).reshape(size, -1, count), True
 
+    # Indices have no gradient, and JAX cannot derive a kernel of Warp.
     rows = jax.lax.stop_gradient(distance).reshape(-1, distance.shape[-1])
     return run(rows).reshape(*distance.shape[:-1], count)

@@ -404,6 +404,7 @@ def measure_all(
         known[robot.name] = entry
         if file is not None:
             with atomic_write(file) as fresh:
+                # Sorted: the order in which robots are measured makes no other file.
                 fresh.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n", encoding="utf-8")
         yield _summary(robot.name, entry)
 

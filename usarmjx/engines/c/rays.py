@@ -394,12 +394,14 @@ class RayPairs:
         frame = self._data.geom_xmat[geom].T.copy().reshape(3, 3, 1, -1)
         point, axis = _turned(frame, offset.T[:, None]), _turned(frame, along[:, :1].take(bundle, 2))
         middle, half = self._model.geom_aabb[geom].T.reshape(2, 3, 1, -1)
+        # All rays of a bundle are in a cone around its first one, as wide as the largest chord between them.
         others = along - along[:, :1]
         chord = np.sqrt((others * others).sum(0).max(0))
         entry = cone_to_box(LocalRays(point - middle, axis, half), chord[bundle])
         may_meet, known = np.isfinite(entry), self._is_known[geom]
         unknown = np.flatnonzero(may_meet & ~known)
         behind = bundle[unknown], entry[unknown]
+        # Planes have neither a bounding box nor a radius.
         kept = np.flatnonzero((may_meet | (self._model.geom_rbound[geom] == 0.0)) & known)
         bundle, geom = bundle[kept], geom[kept]
         turned = _turned(frame.take(kept, -1), along.take(bundle, 2))

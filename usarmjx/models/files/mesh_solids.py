@@ -497,6 +497,7 @@ def _parts(vertices: np.ndarray, faces: np.ndarray) -> list[Any]:
     import trimesh
 
     mesh: Any = trimesh.Trimesh(vertices, faces, process=False)
+    # Facets of STL files share no corners: each would be a part by itself.
     mesh.merge_vertices()
     mesh.update_faces(mesh.nondegenerate_faces())
     if not len(mesh.faces):

@@ -212,6 +212,7 @@ def _check_text(path: Path, data: bytes) -> None:
             facet, corners, open_facet = facet + 1, 0, True
         elif word == b"vertex":
             corners += 1
+            # Behind the end of the file words are empty, which are refused as numbers.
             _check_numbers(path, [next(words, (line, b""))[1] for _ in range(3)], line)
         elif word == b"endfacet":
             if corners != 3:

@@ -425,6 +425,7 @@ class _MjcfReader:
         loose: list[LooseObject] = []
         doors: list[Door] = []
         model = self._model
+        # The world is its own owner, too.
         moving = sum(owner == body for body, owner in enumerate(self._owner)) - 1
         if moving > MAX_MOVING_BODIES:
             raise self._error(f"has {moving} bodies that move; at most {MAX_MOVING_BODIES}")
@@ -443,6 +444,7 @@ class _MjcfReader:
             floor=bool(self._planes),
             warnings=(*self._warnings, *self._meshes.notes),
         )
+        # Arenas have their floor at height 0.
         return transform_content(content, (0.0, 0.0, -self._floor), 0.0)
 
     def _floor_height(self) -> float:

@@ -348,6 +348,7 @@ class _Builder:
                     geared=mimic.leader,
                     gear_ratio=mimic.ratio,
                     gear_offset=mimic.offset,
+                    # The leader moves it: a motor of its own would pull against that.
                     motor=None,
                     is_wheel=False,
                 )

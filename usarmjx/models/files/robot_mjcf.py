@@ -145,6 +145,7 @@ def _kind(model: mujoco.MjModel, actuator: int, stiffness: float, damping: float
     )
     fixed = gain == mujoco.mjtGain.mjGAIN_FIXED
     affine = bias == mujoco.mjtBias.mjBIAS_AFFINE
+    # A bias of zeros acts as none.
     idle = affine and not np.any(model.actuator_biasprm[actuator])
     if fixed and affine and dynamics == mujoco.mjtDyn.mjDYN_INTEGRATOR and stiffness > 0:
         return "intvelocity"
@@ -252,6 +253,7 @@ def _read_constraints(spec: Any, source: RobotSource) -> None:  # noqa: ANN401
             and equality.name2
             and {equality.name1, equality.name2} <= names
             and equality.name1 not in source.mimics
+            # A polynomial of a higher degree is no gear.
             and not terms[2:].any()
         ):
             source.mimics[equality.name1] = MimicJoint(

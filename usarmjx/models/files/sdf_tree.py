@@ -58,6 +58,7 @@ def read_pose(element: LinedElement | None) -> Pose:
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError:
+        # Refused below, with poses of another length.
         numbers = np.array([np.nan])
     is_quat = element.get("rotation_format", "") == "quat_xyzw"
     if len(numbers) != (7 if is_quat else 6) or not np.isfinite(numbers).all():

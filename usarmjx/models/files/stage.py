@@ -566,6 +566,7 @@ class _StageReader:
         heights = [block.numbers("z", (2,)) or (0.0, 1.0) for block in blocks]
         points = np.concatenate(rings)
         low, high = points.min(0), points.max(0)
+        # Heights count from 0 whatever the lowest one is: blocks above it stay in the air.
         top = max(z[1] for z in heights)
         if top <= 0 or (high - low).min() <= 0:
             raise blocks[0].error("the blocks of a model have no area or no height")

@@ -219,6 +219,7 @@ def urdf_content(path: Path, surface: str = "", *, resources: Resources | None =
         visuals = link.all("visual")
         rgba = next((c for visual in visuals if (c := _colour(visual, colours))), GREY)
         name = link.get("name", "")
+        # A link of visuals only is seen, not touched.
         where = _Where(name, frames[name], surface if solids else "fixture", rgba)
         for solid in solids or visuals:
             shapes += _solid(solid, where, resources)

@@ -278,6 +278,7 @@ def part_rotation(pair: JointPair) -> Vec3:
             pair.line, "SelfAxis is not ParentAxis", "ParentAxis2 and SelfAxis2 too, to say how it is turned"
         )
     mat = _frame(pair, theirs, "ParentAxis2") @ _frame(pair, own, "SelfAxis2").T
+    # Plus 0.0: -0.0 becomes 0.0.
     roll, pitch, yaw = (angles_from_mat(mat) + 0.0).tolist()
     return (roll, pitch, yaw)
 
@@ -520,6 +521,7 @@ def _link_line(line: Line, units: Units, notes: WarningLog) -> LinkLine:
 
 def _check_tree(links: Sequence[LinkLine]) -> None:
     """Refuse a link with a repeated number, or with a parent that is not defined before it."""
+    # Number of what the package is mounted on.
     known = {-1}
     for link in links:
         if len(known) > MAX_LINKS:

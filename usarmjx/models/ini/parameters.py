@@ -75,6 +75,7 @@ def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, not
         if not any(spacing):
             fail(line, f"{line.key} is 0 along all axes", "half the distance of the eyes, as (Y=0.05)")
         if metres is None:
+            # This key is in Unreal units, whatever the section's other lengths are in.
             spacing = replace(units, by_uu=True).position(spacing)
         given["StereoSpacing"] = tuple(zip("XYZ", spacing, strict=True))
     first = next((line for line in (switch, metres, unreal) if line is not None), None)

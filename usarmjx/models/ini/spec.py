@@ -512,6 +512,7 @@ def _with_items(
     read = {key: _mounts(orders, key, sources) for key in ITEM_LISTS}
     for key in ("Effecters", "Sensors", "Cameras"):
         items = () if key in orders.lists else getattr(robot, ITEM_LISTS[key])
+        # Effecters sit on the robot's own parts, not on each other's.
         others = replace(robot, effecters=()) if key == "Effecters" else robot
         names = [CHASSIS, *(part.name for part in parts_of(others))]
         for item in items:

@@ -119,6 +119,7 @@ def soryu(wheels: int = 4) -> RobotSpec:
     tracks: list[Part] = []
     for side, y in (("Left", -SEPARATION / 2), ("Right", SEPARATION / 2)):
         names = track_names(side, wheels * len(cars))
+        # The same iterator several times: as many names at a time as a car has wheels.
         for (parent, x), some in zip(cars, zip(*[iter(names)] * wheels, strict=True), strict=True):
             belt = BELT if parent == CHASSIS else END_BELT
             out = CAR_LENGTH / 2 - belt.radius

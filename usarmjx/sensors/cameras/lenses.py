@@ -80,7 +80,9 @@ def pinhole_rays(width: int, height: int, fov: Array, distortion: Array | None =
     if distortion is not None:
         seen = xp.asarray(np.hypot(right, up)) / focal
         straight = undistort(seen, distortion)
+        # Beyond the lens's edge no light arrives.
         inside = xp.isfinite(straight)
+        # The ray through the middle has no offset to scale: 0 / 0.
         scale = xp.where(inside, straight, 0.0) / xp.maximum(seen, 1e-9)
         right, up = right * scale, up * scale
     along = xp.stack([xp.broadcast_to(focal, right.shape), -right, up], -1)

@@ -172,6 +172,7 @@ def _cone_distance(geoms: wp.array[wp.vec4], at: int, cone: WarpCone, by_box: bo
         near = cone_box_distance(xyz(half), tip, local(r0, r1, r2, cone.axis), cone.tip_radius, cone.slope)
     else:
         near = cone_sphere_distance(xyz(pos) - cone.tip, cone.axis, pos[3], cone.tip_radius, cone.slope)
+    # A cone that is too wide for the test has slope -1: any geom may be in it.
     return wp.where(cone.slope < 0.0, 0.0, near)
 
 
