@@ -8,7 +8,7 @@ import viser
 
 from tests.view.simple_worlds import drawing_of, frame_of
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, DrawnMount, DrawnTag
-from usarmjx.view.layers import LAYERS
+from usarmjx.view.layers import LAYERS, maps
 from usarmjx.view.layers.marks import DROPPED_RGB, TAG_RGB
 from usarmjx.view.page import HELD, ICON, LIBRARY, MARK, PRODUCT, page_folder, page_text
 from usarmjx.view.scoreboard import (
@@ -89,9 +89,9 @@ def test_states_name_what_a_robot_does():
 def test_the_area_of_maps_is_what_any_robot_knows():
     frame = frame_of(drawing_of(2))
     one, other = np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8)
-    one[0], other[:, 0] = 1, 2
+    one[0], other[:, 0], other[3, 3] = maps.FREE, maps.WALL, maps.MARK
     extra = {MAP_GRID: np.array([0.0, 0.0, 0.5]), f"{MAP_PREFIX}a": one, f"{MAP_PREFIX}b": other}
-    assert known_area(replace(frame, extra=extra)) == 7 * 0.25
+    assert known_area(replace(frame, extra=extra)) == 8 * 0.25
     assert known_area(frame) is None
 
 

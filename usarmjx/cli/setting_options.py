@@ -181,6 +181,7 @@ def _options_of(kind: type, base: object) -> list[inspect.Parameter]:
             annotation = _in_panel(hints[one.name], typed[one.name], panel)
             default = inspect.Parameter.empty if value is MISSING else value
         else:
+            # None: not given, so what the base has stands.
             annotation, default = _annotation(one, value, panel), None
         parameters.append(
             inspect.Parameter(

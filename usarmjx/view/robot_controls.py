@@ -453,6 +453,7 @@ class RobotControls:
         }
         for package in spec.packages:
             names = [part_name(package, link) for link in package.links]
+            # Taken out: what is left belongs to no package.
             self._add_sliders(gui, package.name, [free.pop(name) for name in names if name in free], frame)
         self._add_sliders(gui, "Joints", list(free.values()), frame)
 

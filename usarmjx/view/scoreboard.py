@@ -20,7 +20,7 @@ from usarmjx.view.layers.base import SCALE, robot_colors
 from usarmjx.view.layers.bodies import sensors_of
 from usarmjx.view.layers.echoes import IR_RGB
 from usarmjx.view.layers.light import BEAM_RGB, BULB_RGB
-from usarmjx.view.layers.maps import FREE, MAP_RGBA, MARK, WALL
+from usarmjx.view.layers.maps import FREE, MAP_RGBA, MARK, UNKNOWN, WALL
 from usarmjx.view.layers.marks import DROPPED_RGB, TAG_RGB
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ TIPPED_COSINE = 0.5
 LOW_BATTERY = 0.2
 """Share of the battery up to which its bar is red."""
 VICTIM_SENSOR = "VictSensor"
-FREE_SQUARE, WALL_SQUARE = 1, 2
-"""Values of known squares of maps, see `train.mapping.maps`."""
 
 
 def _always(drawing: Drawing, frame: Frame) -> bool:
@@ -255,7 +253,7 @@ def known_area(frame: Frame) -> float | None:
     maps = [value for name, value in frame.extra.items() if name.startswith(MAP_PREFIX) and name != MAP_GRID]
     if grid is None or not maps:
         return None
-    known = np.any([np.isin(one, (FREE_SQUARE, WALL_SQUARE)) for one in maps], axis=0)
+    known = np.any([one != UNKNOWN for one in maps], axis=0)
     return float(known.sum() * grid[2] ** 2)
 
 

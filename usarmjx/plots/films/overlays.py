@@ -150,6 +150,7 @@ def _diamonds(points: np.ndarray, view: FilmView) -> np.ndarray:
     """Return squares on their tips that face a view, two triangles for each point (2 * n, 3, 3)."""
     way = view.eye - points
     distance = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-6)
+    # Half way at most, or a dot before the eye would get behind it.
     middle = points + np.minimum(DOT_LIFT, distance / 2) * way / distance
     _, depth = view.project(middle)
     radius = np.maximum(DOT_RADIUS, LEAST_DOT * np.maximum(depth, 0.0) / view.focal)[:, None]

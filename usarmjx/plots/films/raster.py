@@ -83,6 +83,7 @@ class Canvas:
         begin = 0
         while begin < len(ends):
             before = ends[begin - 1] if begin else 0
+            # One row at least, however long it is.
             end = max(begin + 1, int(np.searchsorted(ends, before + FRAGMENTS, side="right")))
             self._fill(_Rows(*(column[begin:end] for column in rows)))
             begin = end
@@ -141,6 +142,7 @@ def _rows(
         level = edge[:, 1] == 0
         slope = edge[:, 0] / np.where(level, 1.0, edge[:, 1])
         x = start[which, 0] + (middle - start[which, 1]) * slope[which]
+        # Which side an edge bounds depends on its direction, and on the triangle's orientation.
         ends = (edge[:, 1] * np.sign(area) > 0)[which]
         begins = (edge[:, 1] * np.sign(area) < 0)[which]
         right = np.where(ends, np.minimum(right, x), right)
@@ -245,6 +247,7 @@ class FilmView:
         """Return points (..., 3) on the screen [pixels] (..., 2), and their depths [m] (...,)."""
         local = (points - self.eye) @ self.axes
         depth = local[..., 2]
+        # What lies beside the eye is nowhere on the screen, and must not divide by 0.
         scale = self.focal / np.where(np.abs(depth) < 1e-6, 1e-6, depth)
         x = self.width / 2 + local[..., 0] * scale
         return np.stack([x, self.height / 2 - local[..., 1] * scale], -1), depth
@@ -300,6 +303,7 @@ class SunView:
         """Draw triangles (n, 3, 3) with their indices (n,); the nearness is `reach` minus the depth."""
         local = (corners - self.middle) @ self.axes
         xy = self.side / 2 + local[..., :2] * (self.scale, -self.scale)
+        # Never 0, which stands for an empty texel.
         canvas.draw(xy, np.maximum(self.reach - local[..., 2], 1e-6), number)
 
     def numbers(self, canvas: Canvas) -> ShadowMap:

@@ -169,6 +169,7 @@ class SensorBodyLayer(NodeLayer):
                 hidden = [bool(settings.get("hidden_sensor", True)) for settings in mount.settings]
                 slot += [robot.slot] * sum(hidden)
                 body.append(mount.body[hidden])
+                # The box lies behind its mount, as in the model: a sensor looks out of its front.
                 back = mount.pos - HOUSING_SIZE[0] * mount.mat[:, :, 0]
                 pos.append(back[hidden])
                 mat.append(mount.mat[hidden])

@@ -125,6 +125,7 @@ def sound_cone(angle: float) -> tuple[np.ndarray, np.ndarray]:
         circle = np.stack([np.cos(around), np.sin(around)], -1) * math.sin(tilt)
         corners.append(np.column_stack([np.full(CONE_SIDES, math.cos(tilt)), circle]))
         inner, outer = 1 + ring * CONE_SIDES, 1 + (ring - 1) * CONE_SIDES
+        # The outermost ring meets the tip; each other one meets the ring around it.
         if ring == 0:
             faces.append(np.stack([0 * this, inner + following, inner + this], -1))
         else:
