@@ -11,13 +11,15 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.scripts import load
+from tests.server.lockstep import LOCKSTEP
 from tests.server.peers import PATIENCE, serving
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
-FACTOR = 0.5  # simulated seconds per second: slow enough for commands to get through on a busy machine
+FACTOR = 0.5
+"""Simulated seconds per second of a client that guesses the server's pace: slow enough on a busy machine."""
 LEANING = math.radians(30)  # a robot that leans more than this is about to fall
 STANDING = math.radians(3)  # an arm of 0.5 kg, moved by 7 kg that stand on stiff servos
 TRUTH_ATOL = 0.06  # m: GroundTruth has two decimals, and it takes a step or two to stand still again
@@ -54,18 +56,18 @@ class Watched(client.UsarsimClient):
 
 
 @contextlib.contextmanager
-def robot_of(name):
+def robot_of(name, realtime_factor=LOCKSTEP):
     """A connected client whose robot of that class stands on a flat floor."""
     world = DynamicWorld(FLAT, Physics(), 2, max_robots=1)
     world.prepare(ROBOTS.get(name))
-    with serving(world, realtime_factor=FACTOR) as (port, _), Watched(world, port) as robot:
+    with serving(world, realtime_factor=realtime_factor) as (port, _), Watched(world, port) as robot:
         _, place, turn = robot.start_poses()[0]
         robot.init(f"USARBot.{name}", "It", place, turn)
         yield robot
 
 
 def test_ers_walks_a_metre_and_stays_upright():
-    with robot_of("ERS") as robot:
+    with robot_of("ERS", FACTOR) as robot:
         robot.note()
         trip = ers_walk.walk(robot, 1.0, 40.0)
         robot.note()
