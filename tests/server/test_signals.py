@@ -20,6 +20,7 @@ pytestmark = pytest.mark.alone
 LIMIT = 6.0  # s: 2 s on an idle machine; what is stuck here would take ten minutes
 STOPPED = re.compile(r"usarmjx: stopped after [\d.]+ simulated s; .*\n")
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
+ID = {number: number.name for number in SIGNALS}
 
 SERVING = """
 import hashlib, sys, time
@@ -38,6 +39,7 @@ with StopSignals() as signals:
 """
 COMPILE = "hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)"
 """Takes minutes, hears no signal, and lets other threads run: as when XLA compiles."""
+WORK = {"compiling": COMPILE, "sleeping": "time.sleep(600)"}
 
 
 def start(before="", within=""):
@@ -76,7 +78,8 @@ def end(process, number):
     return out, err, time.monotonic() - began
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.every_run(ID[signal.SIGTERM])
+@pytest.mark.parametrize("number", SIGNALS, ids=ID.get)
 def test_a_thread_that_compiles_is_not_waited_for(number):
     before = f"ThreadPoolExecutor(1).submit(lambda: {COMPILE})"
     process, line = start(before)
@@ -89,7 +92,8 @@ def test_a_thread_that_compiles_is_not_waited_for(number):
     assert took < LIMIT
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.every_run(ID[signal.SIGINT])
+@pytest.mark.parametrize("number", SIGNALS, ids=ID.get)
 def test_a_loop_that_is_stuck_is_left_and_what_was_said_is_written(number):
     first = "print('stuck soon', flush=True); sys.stdout.write('last words')"
     process, line = start(within=f"{first}; world.on_step = lambda: {COMPILE}")
@@ -114,8 +118,9 @@ def test_more_signals_change_nothing_and_files_are_finished():
     assert took < LIMIT + 1.0
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("work", [COMPILE, "time.sleep(600)"])
+@pytest.mark.every_run("compiling-SIGINT", "sleeping-SIGTERM")
+@pytest.mark.parametrize("number", SIGNALS, ids=ID.get)
+@pytest.mark.parametrize("work", WORK.values(), ids=WORK)
 def test_before_it_serves_it_ends_as_shells_expect(number, work):
     process, line = start(within=f"print('building', flush=True); sys.stdout.write('last words'); {work}")
     assert line == "building\n"
@@ -167,7 +172,8 @@ with stop_request() as stop:
 """
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.every_run(ID[signal.SIGTERM])
+@pytest.mark.parametrize("number", SIGNALS, ids=ID.get)
 def test_a_training_that_compiles_ends_at_once(number):
     process = launch(TRAINING.format(before=f"print('compiling', flush=True); {COMPILE}"))
     assert process.stdout.readline() == "compiling\n"
@@ -178,7 +184,8 @@ def test_a_training_that_compiles_ends_at_once(number):
     assert took < LIMIT
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.every_run(ID[signal.SIGINT])
+@pytest.mark.parametrize("number", SIGNALS, ids=ID.get)
 def test_a_training_that_iterates_ends_with_its_checkpoint(number):
     process = launch(TRAINING.format(before=""))
     assert process.stdout.readline() == "armed\n"
@@ -207,8 +214,9 @@ app({words}, standalone_mode=True)
 SWEEP = ["sweep", "teams", "--set", "task=drive-to-goal", "--set", "roster=[P2AT]", "--part", "1/99"]
 
 
-@pytest.mark.parametrize("work", [COMPILE, "time.sleep(600)"])
-@pytest.mark.parametrize("words", [SWEEP, ["play", "drive-to-goal"]])
+@pytest.mark.every_run("sweep-sleeping", "play-compiling")
+@pytest.mark.parametrize("work", WORK.values(), ids=WORK)
+@pytest.mark.parametrize("words", [SWEEP, ["play", "drive-to-goal"]], ids=["sweep", "play"])
 def test_commands_that_compile_end_at_once_with_a_line(words, work, tmp_path):
     words = [*words, "--out", str(tmp_path / ("x.png" if words[0] == "play" else "x"))]
     process = launch(COMMAND.format(words=words, work=work, terminal=False))

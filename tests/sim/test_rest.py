@@ -142,9 +142,9 @@ CLASSES = ("P2DX", "Hummer", "Talon", "AirRobot")
 """The largest tilt on wheels, springs, tracks with an arm, and a flyer."""
 EVERY = [name for name, spec in ROBOTS if spec.drive.vehicle != "NauticVehicle"]
 """Divers have no place of rest on a dry floor."""
-ON_JAX = ("P2DX", "Soryu")
-"""Classes of every run on `jax`, where each takes as long to compile: one with a caster, and the long chain
-that trembled most, by 0.4 rad/s2, while MJX integrated forces."""
+ON_JAX = ("Soryu",)
+"""Class of every run on `jax`, where each takes as long to compile: the long chain that trembled most, by
+0.4 rad/s2, while MJX integrated forces."""
 PLANAR = [name for name in EVERY if name not in ("ERS", "QRIO")]
 """Those that do not walk on legs."""
 
