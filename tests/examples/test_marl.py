@@ -17,6 +17,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.policies.sources import load_policy, own_policy
+from usarmjx.train.tasks import Buildings
 
 FOLDER = EXAMPLES / "marl"
 SHARED, GAMES = load("marl/marl_shared"), load("marl/marl_games")
@@ -244,7 +245,9 @@ def test_an_iteration_is_compiled_once():
 @pytest.fixture(scope="module")
 def tasks():
     """Teams of two in `explore-v3`, whose robots choose goals or turn their wheels."""
-    small = {"worlds": 2, "engine": "planar", "count": 2, "physics": "coarse"}
+    # The 48 arenas of the task take seconds to generate, and shapes do not depend on their number.
+    arena = Buildings(levels=(0.4,), count=2, size=(5, 4), together=True, spacing=1.2)
+    small = {"worlds": 2, "engine": "planar", "count": 2, "physics": "coarse", "arena": arena}
     return {kind: usarmjx.make("explore-v3", actions=kind, **small) for kind in ("goals", "wheels")}
 
 
