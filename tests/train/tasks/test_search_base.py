@@ -182,3 +182,13 @@ def test_reports_and_teamwork_pay():
     silent, one, reporting = (np.array(row.by_world).mean() for row in rows)
     assert reporting > silent + 5.0
     assert reporting > one + 2.0
+
+
+@pytest.mark.thorough
+def test_who_reports_beats_who_does_not_even_if_all_know_the_building():
+    """Three buildings, two robots that know them and hear each other over their own radio."""
+    alike = {"physics": "coarse", "count": 2, "oracle": True}
+    teams = ("frontier", "courier")
+    rows = measure_teams("victim-search-v3", 3, teams=teams, engine="planar", split="validation", **alike)
+    silent, reporting = (np.array(row.by_world) for row in rows)
+    assert (reporting > silent + 10.0).all()
