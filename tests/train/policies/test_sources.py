@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import usarmjx
 from tests.train.handmade import policy_file
 from tests.train.toys import LineToy
 from usarmjx.base.errors import UnknownNameError, UsageError
@@ -120,6 +121,21 @@ def test_the_task_of_a_packaged_policy_is_still_the_one_that_it_was_trained_for(
     seen = [note for note in notes if "scores of policies count on split test" in note]
     assert (env.name, [note for note in notes if note not in seen]) == (name, TOLD.get(name, []))
     assert len(seen) == bool(env.levels)
+
+
+def test_the_packaged_policy_of_goals_drives_forwards():
+    """Camera and laser look ahead. A policy that backs up to its goals reaches as many."""
+    env = usarmjx.make("drive-to-goal", worlds=12, engine="c", episode_steps=60)
+    policy = load_policy("drive-to-goal").policy(env)
+    act, carry, state = jax.jit(policy.act), policy.initial_carry(12), env.reset(7)
+    speeds, going = [], np.ones(12, bool)
+    for step in range(60):
+        carry, (wheels,) = act(carry, state.obs, jax.random.key(step))
+        speeds.append(np.where(going, np.asarray(wheels)[:, 0].mean(-1), 0.0))
+        state = env.step(state, (wheels,))
+        going &= ~np.asarray(state.done)
+    assert (np.sum(speeds, 0) > 1.0).all()
+    assert going.sum() <= 3
 
 
 def test_an_oracle_plays_the_task_in_which_it_knows_all(monkeypatch):
