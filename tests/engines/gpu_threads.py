@@ -5,11 +5,14 @@ vote and exchange numbers) is made of barriers. It shows what the code computes,
 """
 
 import ctypes
+import hashlib
+import os
 import re
 import shutil
 import subprocess
 import tempfile
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -144,14 +147,29 @@ extern "C" void run(GIVEN, int dim) {
 """
 
 
+FLAGS = ("-O1", "-std=c++20", "-shared", "-fPIC", "-pthread", "-w")
+
+
+@cache
+def _compiler() -> str:
+    found = subprocess.run([str(COMPILER), "--version"], check=True, capture_output=True, text=True)
+    return found.stdout
+
+
 @cache
 def _library(source: str, more: tuple[str, ...] = ()) -> Any:
-    with tempfile.TemporaryDirectory() as folder:
-        code, library = Path(folder) / "gpu.cpp", Path(folder) / "gpu.so"
-        code.write_text(source, encoding="utf-8")
-        flags = ["-O1", "-std=c++20", "-shared", "-fPIC", "-pthread", "-w"]
-        subprocess.run([COMPILER, *flags, *more, str(code), "-o", str(library)], check=True)
-        return ctypes.CDLL(str(library)).run
+    """Return the entry of a library, which is kept beside the programs of JAX: compiling takes seconds."""
+    folder = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+    key = "\n".join((_compiler(), metadata.version("warp-lang"), *FLAGS, *more, source))
+    library = folder / f"gpu-threads-{hashlib.sha256(key.encode()).hexdigest()}.so"
+    if not library.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as own:
+            code, part = Path(own) / "gpu.cpp", library.with_suffix(f".{os.getpid()}")
+            code.write_text(source, encoding="utf-8")
+            subprocess.run([COMPILER, *FLAGS, *more, str(code), "-o", str(part)], check=True)
+            part.replace(library)  # another process reads all of it or nothing
+    return ctypes.CDLL(str(library)).run
 
 
 def run_as_on_a_gpu(code: str, kernel: Any, args: list[Any], dim: int, block: int) -> list[np.ndarray]:
