@@ -206,6 +206,7 @@ def test_networks_that_observations_do_not_fit_are_refused():
         Config(network="set", gru_size=4)
 
 
+@pytest.mark.usefixtures("optimised_programs")
 @pytest.mark.parametrize(("kind", "layout"), [("set", PLAIN), ("cnn", PICTURED)])
 def test_a_toy_is_learned(kind, layout, tmp_path):
     """At random a robot is right in 1 of 3.5 choices."""
@@ -221,6 +222,7 @@ def test_a_toy_is_learned(kind, layout, tmp_path):
     assert found.score.value > 0.85
 
 
+@pytest.mark.usefixtures("optimised_programs")
 def test_only_a_vector_tells_robots_what_to_name(tmp_path):
     """The same robots are right at once, and guess where they are deaf: one of two, in 512 answers."""
     sizes = {"network": "set", "hidden_sizes": (32, 32), "critic_hidden_sizes": (16, 16)}
