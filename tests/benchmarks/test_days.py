@@ -21,8 +21,13 @@ def day():
     return days.Day("c", PHYSICS)
 
 
-def test_an_old_world_and_a_fresh_one_in_its_state_read_the_same(day):
-    old, _ = day.run(day.batch.reset(0), 12, print)
+@pytest.fixture(scope="module")
+def old(day):
+    state, _ = day.run(day.batch.reset(0), 12, print)
+    return state
+
+
+def test_an_old_world_and_a_fresh_one_in_its_state_read_the_same(day, old):
     found = days.compare(day, old, day.batch.reset(0))
     assert found["differ"] == []
     assert (found["old_step"], found["fresh_step"]) == (12 * day.steps, days.YOUNG * day.steps)
@@ -31,8 +36,7 @@ def test_an_old_world_and_a_fresh_one_in_its_state_read_the_same(day):
     assert 0.2 < found["way_m"] < 2.0
 
 
-def test_a_clock_that_is_forgotten_is_found(day, monkeypatch):
-    old, _ = day.run(day.batch.reset(0), 12, print)
+def test_a_clock_that_is_forgotten_is_found(day, old, monkeypatch):
     for name in ("due", "battery_start"):
         monkeypatch.setattr(days, "CLOCKS", frozenset({"step", "battery_start", "due"} - {name}))
         assert days.compare(day, old, day.batch.reset(0))["differ"], name
