@@ -230,7 +230,7 @@ def processor() -> str:
     """Return a name for this machine's instruction set: programs for another one may not run here."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-        # Called `flags` of x86, and `Features` of ARM.
+        # Called flags of x86, and Features of ARM.
         able = next(line for line in lines if line.lower().startswith(("flags", "features")))
     except (OSError, StopIteration):
         able = platform.processor()

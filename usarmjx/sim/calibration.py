@@ -254,7 +254,7 @@ def _fit(
         residuals_at,
         first,
         jacobian_at,
-        # Beyond `f_scale`, 0.1 m/s, weighted errors count less than by their squares.
+        # Beyond f_scale, 0.1 m/s, weighted errors count less than by their squares.
         bounds=(low, high),
         loss="soft_l1",
         f_scale=0.1,

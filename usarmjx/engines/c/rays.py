@@ -104,7 +104,7 @@ def _box(rays: LocalRays) -> np.ndarray:
 def _roots(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return both solutions of a x^2 + 2 b x + c = 0, the smaller first; -1 without."""
     square = b * b - a * c
-    # As in MuJoCo's `ray_quad`: a ray that only grazes a surface misses it.
+    # As in MuJoCo's ray_quad: a ray that only grazes a surface misses it.
     root, exists = np.sqrt(square), square >= MIN_LENGTH
     return np.where(exists, (-b - root) / a, -1.0), np.where(exists, (-b + root) / a, -1.0)
 
@@ -359,7 +359,7 @@ class RayPairs:
         for first, end, solid in zip(ends, ends[1:], SOLIDS.values(), strict=False):
             if first < end:
                 met[:, first:end] = solid.distance(rays.part(np.s_[..., first:end]))
-        # `reduceat` needs the pairs of each bundle side by side.
+        # NumPy's reduceat needs the pairs of each bundle side by side.
         order = np.argsort(pairs.bundle, kind="stable")
         bundle, met = pairs.bundle[order], met.take(order, 1)
         firsts = np.flatnonzero(np.append(True, bundle[1:] != bundle[:-1]))

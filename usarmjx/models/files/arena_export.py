@@ -419,7 +419,7 @@ def export_arena(arena: ArenaSpec, path: Path) -> ExportResult:
     form = check_suffix(path)
     if form == "mjcf":
         spec = new_spec(arena, Physics())
-        # `to_xml` needs a compiled description.
+        # MuJoCo's to_xml needs a compiled description.
         spec.compile()
         write_file(path, spec.to_xml().encode())
         return ExportResult(files=(path,), notes=())

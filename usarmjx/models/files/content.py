@@ -176,7 +176,7 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
     # Where no robot fits at the wish itself, only the largest area counts.
     if wish is None or away.min() > found.grid.cell:
         away = np.where(largest, away, np.inf)
-    # The last key of `lexsort` is the first one: of equal distances the lowest ground wins.
+    # The last key of NumPy's lexsort is the first one: of equal distances the lowest ground wins.
     best = int(np.lexsort((ground, away))[0])
     at = (round(float(x[best]), 3), round(float(y[best]), 3), round(float(ground[best]) + START_ELEVATION, 6))
     return StartPose(tag=DEFAULT_START_TAG, at=at)

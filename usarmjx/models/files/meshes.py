@@ -434,7 +434,7 @@ def convex_pieces(
     # Files of facets repeat each corner: without merging, every facet would be a piece of its own.
     mesh.merge_vertices()
     every = np.arange(len(mesh.faces))
-    # All faces are nodes, and `min_len` is 1: a single face is a piece too, and none gets lost.
+    # All faces are nodes, and min_len is 1: a single face is a piece too, and none gets lost.
     groups = graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
     if len(groups) > MAX_MESH_PIECES:
         raise ArenaFileError(f"{name}: {len(groups)} pieces; at most {MAX_MESH_PIECES}")

@@ -305,7 +305,7 @@ def _camera(robot: RobotSpec, mount: Mount) -> Camera:
         default_fov=settings.camera_def_fov,
         min_fov=settings.camera_min_fov,
         max_fov=settings.camera_max_fov,
-        # Links of a mission package are called after it, `OmniCamera_Link1`.
+        # Links of a mission package are called after it, OmniCamera_Link1.
         lens="omni" if settings.omni or mount.parent.rsplit("_Link", 1)[0] in OMNI_PACKAGES else "pinhole",
         eye_offsets=_lens_offsets(where, settings),
         hidden_geoms=lens_covering_geoms(plan, body, at),
