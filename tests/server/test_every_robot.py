@@ -19,6 +19,8 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 ROUNDING = 0.01
 """Times of reports have two decimals [s]: without this, some trips would be a report of 0.2 s longer."""
+PACE = 2.0
+"""Times real time: the faster it is, the later in the world's time a command arrives."""
 F4 = r"-?\d+\.\d{4}"
 HEADLIGHT = r"{LightToggle False} {LightIntensity 0} {Battery \d+} {View -1}"
 STEER = rf"{{FrontSteer {F4}}} {{RearSteer {F4}}} "
@@ -161,7 +163,10 @@ TRIPS += tuple(in_percents(trip) for trip in TRIPS if trip.name in OTHER_DRIVES)
 def ports():
     """Servers of all arenas that the trips need."""
     worlds = [DynamicWorld(ARENAS.get(name), Physics(), 1) for name in ("field", "pool")]
-    with serving(worlds[0]) as (field, _), serving(worlds[1]) as (pool, _):
+    with (
+        serving(worlds[0], realtime_factor=PACE) as (field, _),
+        serving(worlds[1], realtime_factor=PACE) as (pool, _),
+    ):
         yield {"field": field, "pool": pool}
 
 
