@@ -104,6 +104,21 @@ def test_contacts_with_a_large_box_are_those_of_double_precision(case):
     assert normal < 0.02
 
 
+@pytest.mark.parametrize("radii", [3.9, 4.1, 12.0])
+def test_a_geom_deep_in_a_box_leaves_it_by_the_face_that_it_does_in_double_precision(radii):
+    """A cut is no face of the box: in a block of 10 m the way out is up, from 2.4 m below it, too."""
+    scene = SCENE.replace("20 5 .1", "20 20 5").replace("0.9914449 0 -0.1305262 0", "1 0 0 0")
+    model = mujoco.MjModel.from_xml_string(scene.format(kind=CASES["egg"][0], size=CASES["egg"][1]))
+    rng, at = np.random.default_rng(0), np.zeros((POSES, 7))
+    at[:, :2], at[:, 2] = rng.uniform(-14.0, 14.0, (POSES, 2)), 5.0 - radii * 0.2
+    at[:, 3:] = rng.standard_normal((POSES, 4))
+    at[:, 3:] /= np.linalg.norm(at[:, 3:], axis=-1, keepdims=True)
+    others, dist, normal = worst(on_warp(model, at, mjx_warp._collision(None)), in_c(model, at))
+    assert others == 0
+    assert dist < 4e-6  # single precision of some metres: a number of 4 to 8 m is true to 0.5 um
+    assert normal < 0.02
+
+
 @wp.kernel
 def cut(box: Any, kind: int, other: wp.vec3, radius: float, out: wp.array(dtype=wp.vec3)):
     near = warp_near_boxes.cut_box(box, kind, other, radius)
@@ -120,6 +135,7 @@ def cut(box: Any, kind: int, other: wp.vec3, radius: float, out: wp.array(dtype=
         ((19.9, 0.0, 0.3), 0.1, (18.5, 0.0, 0.0), (1.5, 2.0, 0.1)),  # no farther than the box itself
         ((12.2, -3.0, 0.3), 4.0, (0.0, 0.0, 0.0), (20.0, 5.0, 0.1)),  # a geom for which the box is small
         ((12.2, -3.0, 0.3), -1.0, (0.0, 0.0, 0.0), (20.0, 5.0, 0.1)),  # a mesh
+        ((12.2, -3.0, 0.0), 0.02, (0.0, 0.0, 0.0), (20.0, 5.0, 0.1)),  # five radii deep
         ((40.0, 0.0, 0.3), 0.1, (0.0, 0.0, 0.0), (20.0, 2.0, 0.1)),  # too far away to touch
     ],
 )

@@ -2,7 +2,8 @@
 
 Its numbers have 24 bits. Beside a box of 20 m they tell penetrations of a tenth of a millimetre apart only by
 a part of their size: wheels that stand on such a ramp then slip a hundredth of a metre a second. The distance
-of two geoms depends on the near part of a box alone, so the collider gets a box of that.
+of two geoms depends on the near part of a box alone, so the collider gets a box of that. A box stays whole
+beside a mesh, and where the other geom is so deep in it that a cut would be nearer than the box's own faces.
 """
 
 from functools import cache
@@ -24,14 +25,16 @@ ELLIPSOID = wp.constant(int(_convex.GeomType.ELLIPSOID))
 CYLINDER = wp.constant(int(_convex.GeomType.CYLINDER))
 BOX = wp.constant(int(_convex.GeomType.BOX))
 NEAR = wp.constant(1.0)
-"""Farthest that the middle of a cut box is from the other geom, along each axis of the box [m].
+"""Farthest that the point between both cuts is from the other geom's cell, along each axis of the box [m].
 
 At this size single precision suffices.
 """
 REACH_RADII = wp.constant(5.0)
-"""Least distance from the other geom's middle to a cut, in radii of that geom.
+"""Least distance from the other geom's middle to a cut, in radii of that geom."""
+MOST_DEPTH_RADII = wp.constant(4.0)
+"""Depth of the other geom's middle up to which a box is cut, in radii of that geom.
 
-A geom that is less than three radii deep in a box leaves it by a face of its own, not by a cut.
+Such a geom leaves by a face of the box after five radii at most, the least distance of a cut.
 """
 CELL = wp.constant(0.5)
 """Edge of the cells in which cuts stay as they are [m]."""
@@ -59,8 +62,11 @@ def cut_box(box: Any, kind: int, other: wp.vec3, radius: float) -> Any:  # noqa:
     """Return a geom cut to what is near another's middle, if it is a box and reaches farther."""
     near = box
     half = NEAR + REACH_RADII * radius + CELL
-    if kind == BOX and radius >= 0.0 and wp.max(wp.max(box.size[0], box.size[1]), box.size[2]) > half:
-        place = wp.transpose(box.rot) @ (other - box.pos)
+    place = wp.transpose(box.rot) @ (other - box.pos)
+    depth, reach = box.size[0] - wp.abs(place[0]), box.size[0]
+    for i in range(1, 3):
+        depth, reach = wp.min(depth, box.size[i] - wp.abs(place[i])), wp.max(reach, box.size[i])
+    if kind == BOX and radius >= 0.0 and reach > half and depth <= MOST_DEPTH_RADII * radius:
         middle, size = wp.vec3(0.0, 0.0, 0.0), box.size
         for i in range(3):
             # The collider begins at the middles: where these move, it ends at another point of an edge that
