@@ -13,7 +13,7 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import read_file
 from usarmjx.cli import known_names
 from usarmjx.cli.app import app
-from usarmjx.cli.known_names import check_file, check_name, check_policy, check_roster
+from usarmjx.cli.known_names import check_file, check_name, check_policy, check_roster, check_run
 from usarmjx.cli.listing import commands_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.evaluation.yardsticks import GOAL_TEAMS, TEAMS
@@ -218,6 +218,13 @@ def test_a_name_that_a_program_adds_passes(monkeypatch):
     monkeypatch.setattr(sys.modules["usarmjx.models.robots"], "ROBOTS", registry)
     registry.add("Cart", ROBOTS.get("P2AT"))
     check_name("robot", "cart")
+
+
+@pytest.mark.parametrize(("word", "meant"), [("oracel", "oracle"), ("packagd", "packaged")])
+def test_a_run_that_is_nowhere_gets_the_likely_word(word, meant):
+    check_run(meant)
+    with pytest.raises(UnknownNameError, match=f"{word} is no folder of a run.*did you mean '{meant}'"):
+        check_run(word)
 
 
 @pytest.mark.usefixtures("alone")

@@ -202,9 +202,10 @@ def check_run(run: str) -> None:
     if own and "{task}" not in file and not Path(f"{file}.py").is_file():
         raise UsageError(f"{file}.py: there is no such file")
     name = full_name("task", run)
-    known = run in (*RUN_WORDS, *GOAL_TEAM_WORDS) or name in POLICIES or Path(run).exists()
+    words = (*RUN_WORDS, *GOAL_TEAM_WORDS)
+    known = run in words or name in POLICIES or Path(run).exists()
     if not (known or own or "{task}" in run or (kind in RUN_KINDS and value)):
-        raise UnknownNameError(no_policy(name, POLICIES, RUN_WORDS))
+        raise UnknownNameError(no_policy(name, POLICIES, words))
 
 
 def check_file(found: "FileValue") -> None:
