@@ -36,7 +36,7 @@ from usarmjx.train.tasks.victim_search import FLIPPERS
 RADIO_AS_DATA = ("pdo", "n", "cutoff", "atten_fac")
 """Constants of the radio that may differ between the worlds of a batch."""
 OF_RADIO = ("radio.", "vary.radio_")
-"""Begins of the settings of the radio."""
+"""Prefixes of the settings of the radio."""
 STATIC_RANGES = ("mass", "latency")
 """Quantities whose ranges are compiled in: tables of masses, room for what motors have not heard of yet."""
 TEAMS = {"wheeled": "on wheels", "tracked": "with flippers", "flying": "that fly"}

@@ -1,4 +1,4 @@
-"""Branches of a step of solver `block`: launches beside each other on a GPU.
+"""Branches of a step of MuJoCo Warp: launches beside each other on a GPU.
 
 Some kernels have few threads that take long: a hundred iterations of a collider or of an island's solver.
 They leave most of a GPU idle, so what does not need their results runs beside them, on other streams. A CUDA
