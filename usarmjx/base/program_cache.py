@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
-from functools import cache, cached_property, partial
+from functools import cache, cached_property, lru_cache, partial
 from importlib import metadata
 from pathlib import Path
 from types import BuiltinFunctionType, EllipsisType, FunctionType, MappingProxyType, MethodType
@@ -49,6 +49,8 @@ KNOWN_PACKAGES = frozenset(
 """Packages whose classes and functions are identified by name and version; our own by the sources' digest."""
 PLAIN_TYPES = (bool, int, float, complex, str, bytes, type(None), EllipsisType, np.dtype)
 """Types whose repr identifies a value."""
+SCALARS = frozenset({bool, int, float, str, type(None)})
+"""Those of which a scene has most, but none of their subclasses."""
 T = TypeVar("T")
 CLOCK_ERROR = 1.0
 """Tolerance of file times [s]."""
@@ -95,6 +97,33 @@ def name_of(thing: object) -> str:
     return f"{module}.{name}"
 
 
+def _digest_of(kind: type, parts: Iterable[bytes]) -> bytes:
+    """Return the digest of what distinguishes a value from others of its type."""
+    # The type is part of it: 1, 1.0 and True are equal but trace to different programs.
+    found = hashlib.blake2b(_type_bytes(kind), digest_size=20)
+    for part in parts:
+        # Lengths keep ("ab", "c") apart from ("a", "bc").
+        found.update(struct.pack("<q", len(part)))
+        found.update(part)
+    return found.digest()
+
+
+@cache
+def _type_bytes(kind: type) -> bytes:
+    return name_of(kind).encode() + b"\0"
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(one.name for one in fields(kind))
+
+
+@lru_cache(maxsize=65536)
+def _digest_of_scalar(kind: type, text: str) -> bytes:
+    # Scenes repeat few numbers many thousand times.
+    return _digest_of(kind, [text.encode()])
+
+
 class _Digests:
     """Memoised digests of objects."""
 
@@ -105,6 +134,9 @@ class _Digests:
 
     def of(self, value: object) -> bytes:
         """Return the digest of a value."""
+        if type(value) in SCALARS:
+            # By text, not by value: 0.0 and -0.0 are equal.
+            return _digest_of_scalar(type(value), repr(value))
         known = self._known.get(id(value))
         if known is None:
             known = self._digest(value), value
@@ -112,14 +144,8 @@ class _Digests:
         return known[0]
 
     def _digest(self, value: object) -> bytes:
-        # The type is part of it: 1, 1.0 and True are equal but trace to different programs.
-        found = hashlib.blake2b(name_of(type(value)).encode() + b"\0", digest_size=20)
         parts = _leaf_parts(value)
-        for part in self._inner_parts(value) if parts is None else parts:
-            # Lengths keep ("ab", "c") apart from ("a", "bc").
-            found.update(struct.pack("<q", len(part)))
-            found.update(part)
-        return found.digest()
+        return _digest_of(type(value), self._inner_parts(value) if parts is None else parts)
 
     def _inner_parts(self, value: Any) -> list[bytes]:  # noqa: ANN401 - anything
         """Return the digests that distinguish a value from others of its type."""
@@ -138,7 +164,7 @@ class _Digests:
             case MethodType():
                 return self._all((value.__func__, value.__self__))
             case _ if is_dataclass(value):
-                return self._named({one.name: getattr(value, one.name) for one in fields(value)})
+                return self._named({name: getattr(value, name) for name in _field_names(type(value))})
             case _:
                 return self._named(_attributes(value))
 
