@@ -30,7 +30,7 @@ def run(
             "the method's name."
         ),
     ] = None,
-    suite: SuiteOption = "teams-v1",
+    suite: SuiteOption = "teams-v3",
     split: Annotated[str, typer.Option(help="validation, to choose by; test, to report.")] = "validation",
     out: Annotated[Path, typer.Option(help="Folder of the results files.")] = Path("results"),
     engine: CellEngineOption = None,
@@ -80,7 +80,7 @@ def run(
 @app.command()
 def show(
     results: ResultsArgument,
-    suite: SuiteOption = "teams-v1",
+    suite: SuiteOption = "teams-v3",
     split: Annotated[str, typer.Option(help="Split of the results.")] = "validation",
     figure: Annotated[
         Path | None, typer.Option(help="Draw performance profiles to this file, .png, .pdf, .svg or .eps.")
