@@ -1,9 +1,9 @@
 """MuJoCo Warp's convex collider with boxes cut to what is near the other geom.
 
-Its numbers have 24 bits. Beside a box of 20 m they tell penetrations of a tenth of a millimetre apart only by
-a part of their size: wheels that stand on such a ramp then slip a hundredth of a metre a second. The distance
-of two geoms depends on the near part of a box alone, so the collider gets a box of that. A box stays whole
-beside a mesh, and where the other geom is so deep in it that a cut would be nearer than the box's own faces.
+The collider computes in single precision. Beside a box of 20 m its distances are wrong by micrometres, and
+wheels that stand on such a ramp slip a hundredth of a metre a second. The distance of two geoms depends on
+the near part of a box alone, so the collider gets a box of that. A box stays whole beside a mesh, and where
+the other geom is so deep in it that a cut would be nearer than the box's own faces.
 """
 
 from functools import cache
@@ -25,7 +25,7 @@ ELLIPSOID = wp.constant(int(_convex.GeomType.ELLIPSOID))
 CYLINDER = wp.constant(int(_convex.GeomType.CYLINDER))
 BOX = wp.constant(int(_convex.GeomType.BOX))
 NEAR = wp.constant(1.0)
-"""Farthest that the point between both cuts is from the other geom's cell, along each axis of the box [m].
+"""Farthest that the middle of a box cut at both ends is from the other geom's cell, along each axis [m].
 
 At this size single precision suffices.
 """
