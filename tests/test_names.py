@@ -96,7 +96,7 @@ def identifiers(tree: ast.Module) -> set[str]:
 
 @cache
 def known_modules() -> dict[str, set[str]]:
-    """What each module of the package names, by its full name; of a package its modules, too."""
+    """Return the names in each module by its full name; packages have those of their modules, too."""
     found = dict[str, set[str]]()
     for path in SOURCES:
         if package_of(path).startswith("usarmjx"):
@@ -148,7 +148,7 @@ def arguments_of(node: ast.FunctionDef | ast.AsyncFunctionDef) -> set[str]:
 
 
 def held_by(node: ast.ClassDef) -> set[str]:
-    """What a class defines or sets, in its body or in its methods."""
+    """Return the names that a class defines or sets, in its body or in its methods."""
     found = {one.attr for one in ast.walk(node) if isinstance(one, ast.Attribute)}
     for one in node.body:
         if isinstance(one, ast.FunctionDef):

@@ -31,7 +31,7 @@ CASES = {
 
 
 def support(kind: str, size: np.ndarray, direction: np.ndarray) -> float:
-    """How far a geom reaches in a direction of its own frame [m]."""
+    """Return the extent of a geom in a direction of its own frame [m]."""
     if kind == "cylinder":
         return float(size[0] * np.hypot(*direction[:2]) + size[1] * abs(direction[2]))
     return float(np.abs(direction) @ size if kind == "box" else np.linalg.norm(direction * size))

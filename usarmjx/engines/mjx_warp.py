@@ -246,7 +246,7 @@ def _passive_without_gravcomp() -> Callable[..., Any]:
 
 
 def _collision(broad_phase: Callable[..., None] | None) -> Callable[..., None]:
-    """Return MuJoCo Warp's collision detection with our narrow phase; for `broad_phase` see below."""
+    """Return MuJoCo Warp's collision detection with our narrow phase; arguments as of `_step_by_blocks`."""
     # MuJoCo Warp's functions look up their modules as globals: copies with other globals change only our
     # step.
     changed = {"_narrowphase": import_module("usarmjx.engines.block.branches").narrow_phase}

@@ -205,6 +205,6 @@ def _imports(node: ast.AST, path: Path, top: Path) -> list[str]:
     if node.level:
         parents = path.relative_to(top).parts[: -node.level]
         base = ".".join([*parents, *([base] if base else [])])
-    # What is imported from a package may be one of its modules.
+    # A name that is imported from a package may be one of its modules.
     names = [f"{base}.{one.name}" if base else one.name for one in node.names]
     return [base, *names] if base else names

@@ -154,7 +154,7 @@ class CameraTarget:
         for number in np.flatnonzero(shown.any(1)).tolist():
             rays = slice(bundles.bounds[number], bundles.bounds[number + 1])
             start = np.broadcast_to(bundles.start, along[rays].shape)
-            # What the cone misses is hidden, too: MuJoCo then looks at few geoms per ray.
+            # Geoms outside the cone are hidden, too: MuJoCo then tests few geoms for each ray.
             found = self._caster.hit_geoms(start, along[rays], query, np.flatnonzero(~shown[number]))
             self._keep(rays, found, hits)
 

@@ -173,7 +173,7 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
     largest = np.bincount(areas)[areas] == np.bincount(areas).max()
     aim = wish if wish is not None else (x[largest].mean(), y[largest].mean())
     away = np.hypot(x - aim[0], y - aim[1])
-    # Where no robot fits at the wish itself, only the largest area counts.
+    # If no robot fits at the wish itself, only the largest area counts.
     if wish is None or away.min() > found.grid.cell:
         away = np.where(largest, away, np.inf)
     # The last key of NumPy's lexsort is the first one: of equal distances the lowest ground wins.

@@ -57,7 +57,7 @@ def register_robot_file(path: Path) -> RobotSpec:
     from usarmjx.models.files.robot_file import load_robot
 
     check_robot_file(path)
-    # What the robot depends on: the file may change on disk, and so may where its parts are found.
+    # The robot depends on all of these: the file and the folders of its parts may change.
     key = path.resolve(), path.stat().st_mtime_ns, search_path(), mesh_pieces()
     known = _loaded.get(key)
     if known is not None and ROBOTS.find(known.name) is known:

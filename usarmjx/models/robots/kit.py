@@ -198,7 +198,7 @@ def belt_looks(front: Vec3, rear: Vec3, radii: tuple[float, float], width: float
         return (*ends, block(((x0 - x1) / 2, half, radii[0]), ((x0 + x1) / 2, y, z0), TYRE_BLACK))
     lean = (radii[1] - radii[0]) / math.hypot(x0 - x1, z0 - z1)  # sine of the common tangents' slope
     ahead, rise, corners = math.copysign(1.0, x0 - x1), math.sqrt(1 - lean * lean), list[Vec3]()
-    # Where the common tangents touch both ends: the hull of these points is what lies between the ends.
+    # The common tangents touch both ends here; the hull of these points fills the space between the ends.
     for (x, z), radius in zip(((x0, z0), (x1, z1)), radii, strict=True):
         for side in (-1.0, 1.0):
             corners += [

@@ -247,7 +247,7 @@ class FilmView:
         """Return points (..., 3) on the screen [pixels] (..., 2), and their depths [m] (...,)."""
         local = (points - self.eye) @ self.axes
         depth = local[..., 2]
-        # What lies beside the eye is nowhere on the screen, and must not divide by 0.
+        # A point beside the eye is nowhere on the screen, and must not divide by 0.
         scale = self.focal / np.where(np.abs(depth) < 1e-6, 1e-6, depth)
         x = self.width / 2 + local[..., 0] * scale
         return np.stack([x, self.height / 2 - local[..., 1] * scale], -1), depth

@@ -286,7 +286,7 @@ def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
         if row >= near.end and limit > assured:
             row = wp.int32(0)
             assured = wp.uint32(LAST_KEY)
-    # What hides the ray without counting leaves a miss, not the geom behind it.
+    # A geom that hides the ray without counting leaves a miss, not the geom behind it.
     if not counts:
         best.distance = wp.inf
         best.geom = -1.0

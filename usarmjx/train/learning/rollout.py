@@ -364,7 +364,7 @@ class Rollout:
             teacher = reset_carry(self.teacher, teacher, done)
         policy, critic = reset(decision.policy_carry, done), reset(decision.critic_carry, done)
         if before.alive is not None and after.alive is not None:
-            # Who drops out or joins within an episode begins without memory.
+            # A robot that drops out or joins within an episode begins without memory.
             through = tuple(a & b for a, b in zip(before.alive, after.alive, strict=True))
             policy, critic = (self.networks.policy.reset_agents(one, through) for one in (policy, critic))
         return policy, critic, teacher
