@@ -50,6 +50,7 @@ def numpy_backend() -> Generator[None]:
     # A context variable: other threads, such as a server's, keep their own library.
     token = _on_numpy.set(True)
     try:
+        # JAX never warns of NaN or infinity, and served worlds would fill the log.
         with np.errstate(all="ignore"):
             yield
     finally:

@@ -333,6 +333,7 @@ class _AfterImport(MetaPathFinder):
             run(module)
             self._call(module)
 
+        # The module's own loader is kept: data files and `inspect` ask it for sources.
         spec.loader.exec_module = run_and_call  # pyright: ignore[reportAttributeAccessIssue]
         return spec
 

@@ -42,6 +42,7 @@ class Clock(Node, kw_only=True):
 
 def wrapped_step(count: ArrayLike) -> np.ndarray:
     """Return a count of control steps as the 32-bit count that a clock has then."""
+    # NumPy wraps 64-bit counts silently in `astype`; a Python int beyond 32 bits would raise.
     return np.asarray(np.asarray(count, np.int64).astype(np.int32))
 
 
@@ -69,6 +70,7 @@ def cycle_share(time: Time, frequency: Array, dims: int, xp: ModuleType) -> Arra
     further = (..., *[None] * dims)
     if not isinstance(time, Clock):
         return xp.mod(xp.asarray(time)[further] * frequency, 1.0)
+    # Whole cycles within a step do not change the phase.
     turns = xp.mod(xp.asarray(frequency, xp.float32) * xp.float32(time.period), 1.0)
     # The largest float32 below 1 is below 2^32 after the scaling, so that the conversion is defined.
     increment = (turns * xp.float32(2.0**32)).astype(xp.uint32)

@@ -291,6 +291,7 @@ def warn_once_of_broken_entries(say: Callable[[str], None], folder: Path) -> Non
         if not said:
             say(f"note: a compilation is not kept, or was broken and is done anew: {str(message)[:200]}")
         said = True
+        # Warnings about writing leave no broken entry behind.
         if str(message).startswith("Error reading") and found[1]:
             for path in folder.glob(f"{found[1]}-*"):
                 path.unlink(missing_ok=True)

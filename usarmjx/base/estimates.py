@@ -224,12 +224,15 @@ def wilson_interval(
         count: Number of values.
         draws: Fewest draws of a factor: they count as one value each where all values are alike.
     """
+    # Variance of the share if all values were independent.
     alone = share * (1.0 - share) / max(count - 1, 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         effective = np.where(variance > 0.0, count * alone / variance, np.where(alone > 0.0, count, draws))
     shrink = quantile_of_t(float(max(count - 1, 1))) / quantile_of_t(dof)
     effective = np.where(alone > 0.0, effective * shrink**2, effective)
+    # Correlated values cannot stand for more than there are.
     effective = np.clip(effective, 1.0, count)
+    # The normal quantile: the degrees of freedom are in the effective number of values already.
     z = quantile_of_t(np.inf)
     middle = (share + z**2 / (2 * effective)) / (1 + z**2 / effective)
     half = z / (1 + z**2 / effective) * np.sqrt(share * (1 - share) / effective + z**2 / (4 * effective**2))

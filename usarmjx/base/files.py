@@ -83,6 +83,7 @@ def atomic_write(path: Path) -> Generator[Path]:
     """
     path = Path(path)
     with writing(path):
+        # A rename would replace a pipe or /dev/stdout by a plain file.
         if path.exists() and not path.is_file():
             yield path
             return

@@ -49,6 +49,7 @@ def ones(shape: Any, dtype: DTypeLike = np.float32) -> NumPyArray:  # noqa: ANN4
 def full(shape: Any, fill_value: ArrayLike, dtype: DTypeLike | None = None) -> NumPyArray:  # noqa: ANN401 - shapes
     """As `jnp.full`."""
     if dtype is None:
+        # A Python float is single precision in JAX, whatever its value.
         dtype = np.float32 if isinstance(fill_value, float) else single(fill_value).dtype
     return np.full(shape, fill_value, dtype)
 

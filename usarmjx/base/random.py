@@ -139,6 +139,7 @@ def uniform(of: Any, shape: Sequence[int] = (), minval: Any = 0.0, maxval: Any =
         # 23 random mantissa bits with the exponent of [1, 2), minus 1: the construction of
         # `jax.random.uniform`.
         share = ((bits >> np.uint32(9)) | np.uint32(0x3F800000)).view(np.float32) - np.float32(1)
+        # As `jax.random.uniform`: rounding of the product may fall below the lower bound.
         return np.maximum(low, share * (high - low) + low)
     if not of.ndim:
         return jax.random.uniform(of, shape, minval=minval, maxval=maxval)
@@ -253,6 +254,7 @@ def _counting(count: int, times: int) -> tuple[int, int]:
 
 def _as_keys(words: tuple[int, int], count: int) -> np.ndarray:
     """Return packed blocks as keys (count, 2)."""
+    # The second word goes to the upper half of its lane, which `_threefry` leaves empty.
     both = words[0] | words[1] << 32
     return np.frombuffer(both.to_bytes(LANE_BITS // 8 * count, "little"), "<u4").reshape(count, 2)
 

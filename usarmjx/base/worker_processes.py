@@ -73,6 +73,7 @@ class WorkerProcesses:
             [function(item) for item in part] if found is None else found
             for part, found in zip(parts, done or [None], strict=True)
         ]
+        # Undoes the dealing: item n is the (n // parts)-th of part n % parts.
         return [results[n % len(results)][n // len(results)] for n in range(sum(map(len, parts)))]
 
 
@@ -94,6 +95,7 @@ def spread(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Re
 
 def serve() -> None:
     """Answer requests from the standard input until it ends; the main function of a worker."""
+    # A duplicate of the pipe: descriptor 1 itself becomes the error stream below.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # prints of the function must not mix with answers
     while True:

@@ -112,6 +112,7 @@ def steer(points: list[Point], remembered: list[Point], turning: int = 0) -> tup
     """
     ahead = min(room_ahead(points, MARGIN), room_ahead(remembered, MARGIN_OF_MEMORY))
     if ahead < (GO_AT if turning else STOP_AT):
+        # The side is kept until the way is free: by the newest echoes alone the robot would swing to and fro.
         turning = turning or freer_side(points)
         speed, difference = 0.0, TURN * turning
     else:

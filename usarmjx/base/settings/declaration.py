@@ -97,6 +97,7 @@ class Setting:
         own = {name: value for name, value in own.items() if value != getattr(NO_NOTE, name)}
         for pair in (("gt", "ge"), ("lt", "le")):
             if own.keys() & set(pair):
+                # A bound may replace an inclusive one by an exclusive one: the pair goes together.
                 own = {**dict.fromkeys(pair), **own}
         return dataclasses.replace(other, **own)
 

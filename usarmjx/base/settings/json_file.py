@@ -53,6 +53,7 @@ def parse_json(
         return refuse(f"{name} is no number") if finite else float(name)
 
     try:
+        # Decoded here: `json.loads` would guess UTF-16 or UTF-32 from bytes.
         decoded = text if isinstance(text, str) else text.decode("utf-8")
         return json.loads(decoded, parse_int=whole, parse_constant=constant)
     except json.JSONDecodeError as error:
@@ -139,6 +140,7 @@ def read_kept(path: Path, *, needs_checksum: bool = True, most: int = MAX_FILE_B
 
 def _checksum(content: Mapping[str, Any]) -> str:
     """Return the digest of what JSON makes of a content: lists of tuples, texts of numbers as keys."""
+    # Through JSON once: the file as it is read back must have the checksum of the content as it was given.
     plain = json.loads(json.dumps(content, default=str))
     text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -192,6 +192,7 @@ class Reader:
             UsageError: See `from_data`.
         """
         if hint not in self._validators:
+            # A validator is compiled once for a type: that takes longer than a reading.
             self._validators[hint] = SchemaValidator(self._schema(hint, Setting()))
         with self._refusals(data, where):
             return self._validators[hint].validate_python(data)
@@ -466,6 +467,7 @@ class Reader:
     def _sequence(self, hint: Any, note: Setting, expects: str) -> CoreSchema:  # noqa: ANN401 - a type hint
         inner, origin = get_args(hint), get_origin(hint) or hint
         fixed = origin is tuple and inner and inner[-1] is not Ellipsis
+        # A tuple of a fixed form has as many items as its type names.
         least, most = (len(inner), len(inner)) if fixed else (note.min_length, note.max_length)
 
         def read(value: object) -> list[Any]:

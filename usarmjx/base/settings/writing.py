@@ -99,6 +99,7 @@ def to_text(value: object) -> str:
         pairs = cast(Mapping[object, object], value).items()
         return "{" + ", ".join(f"{key}: {to_text(item)}" for key, item in pairs) + "}"
     if isinstance(value, float):
+        # Six digits if they say all: 0.1 rather than the whole of its binary fraction.
         return f"{value:g}" if float(f"{value:g}") == value else repr(value)
     if dataclasses.is_dataclass(value):
         return type(value).__name__

@@ -88,6 +88,7 @@ class _NodeReader:
             raise self._refusal(f"{self._path}:{line}: {name} contains itself")
         self._open.add(id(node))
         data = self._data(node, name)
+        # Only nodes on the way down count: a value may be repeated beside itself.
         self._open.discard(id(node))
         return FileValue(data, self._path, line, name, self._refusal)
 

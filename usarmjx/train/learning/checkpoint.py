@@ -55,6 +55,7 @@ def _is_key(leaf: object) -> TypeGuard[jax.Array]:
 def _arrays(tree: object) -> dict[str, np.ndarray]:
     """Return a tree's leaves by their path, as NumPy arrays; random keys as their numbers."""
     leaves = jax.tree.flatten_with_path(tree)[0]
+    # NumPy has no dtype for typed random keys; their data are plain words.
     plain = [(path, jax.random.key_data(leaf) if _is_key(leaf) else leaf) for path, leaf in leaves]
     return {"".join(map(str, path)): np.asarray(leaf, order="C") for path, leaf in plain}
 
@@ -177,6 +178,7 @@ class Checkpoints:
             if meta["iteration"] != int(path.name):
                 raise UsageError(f"checkpoint {path} is of iteration {meta['iteration']}: it was renamed")
             score = meta["score"]
+            # True is an int in Python, but no score.
             known = score is None or (isinstance(score, int | float) and not isinstance(score, bool))
             if not known or not isinstance(meta["agent_steps"], int):
                 raise TypeError("score and agent_steps are numbers")
@@ -243,6 +245,7 @@ class Checkpoints:
         if path.exists():
             return
         meta = {"format": FORMAT, "iteration": iteration, "processes": process_group.count, **note}
+        # In the same folder: a rename is atomic only within one file system.
         fresh = path.with_name(path.name + PARTIAL_MARK)
         steps = (
             partial(self._begin, fresh, process_group),
@@ -274,6 +277,7 @@ class Checkpoints:
         if process_group.index == 0:
             with _synced_file(fresh / "meta.json") as file:
                 file.write(kept_text(meta, indent=None).encode())
+            # Last of all: `all` takes a folder without the mark for a whole checkpoint.
             fresh.rename(fresh.with_name(fresh.name.removesuffix(PARTIAL_MARK)))
             if keep is not None:
                 self.delete_old(keep)
@@ -329,6 +333,7 @@ def load_train_state(run: Path, which: str = "best") -> tuple[Networks, TrainSta
     path = checkpoints.find(which)
     checkpoints.meta(path)  # refuses what another version wrote
     networks = make_networks(record.groups, record.privileged_size, record.config)
+    # Only the shapes of the fresh state matter: all its arrays are replaced.
     return networks, read_part(path, "learner", make_train_state(networks, record.config)), record
 
 

@@ -177,6 +177,7 @@ def horizon_of(episode_steps: int) -> dict[str, float]:
     A reward a whole episode later counts 1/e of one now, and the advantage estimate looks a tenth of an
     episode ahead before it trusts the critic.
     """
+    # An episode of one step would give a gamma of 0.
     gamma = 1.0 - 1.0 / max(episode_steps, 2)
     # GAE decays by gamma times lambda: the division leaves the product at 1 - 10 / steps.
     return {"gamma": gamma, "gae_lambda": max(0.0, 1.0 - 10.0 / max(episode_steps, 10)) / gamma}
@@ -318,6 +319,7 @@ class Config:
     @property
     def shuffled_blocks(self) -> int:
         """Blocks that the worlds are shuffled in; each minibatch takes equal shares of them."""
+        # A minibatch takes an equal share of each block, so their number divides its worlds.
         share = self.num_worlds // self.num_minibatches
         return max(n for n in range(1, min(self.shuffle_blocks, share) + 1) if share % n == 0)
 
@@ -351,6 +353,7 @@ def turn_settings(task: str, turn_length: int) -> dict[str, Any]:
     more of them in a rollout and in the training, and each discounts the less.
     """
     usual = task_config(task)
+    # Turns at least as long as an action need no other settings.
     if not turn_length or turn_length >= usual.action_repeat:
         return {}
     more = usual.action_repeat // turn_length
@@ -399,6 +402,7 @@ def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # 
         own |= horizon_of(TASKS.get(task).episode_steps)
     chosen: dict[str, Any] = {**own, **given}
     if "num_minibatches" not in given:
+        # A default must suit any number of worlds: their greatest common divisor divides both.
         worlds, most = (chosen.get(key, getattr(Config, key)) for key in ("num_worlds", "num_minibatches"))
         chosen["num_minibatches"] = math.gcd(worlds, most)
     return Config(**chosen)

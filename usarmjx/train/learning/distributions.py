@@ -30,6 +30,7 @@ def normal_tanh(size: int) -> "NormalTanhDistribution":
 
 def mode_action(logits: jax.Array) -> jax.Array:
     """Return the mode of `normal_tanh` (..., size), of its parameters (..., 2 size)."""
+    # As in Brax: the squashed mode of the normal distribution, not the mode of the squashed one.
     return jnp.tanh(jnp.split(logits, 2, axis=-1)[0])
 
 
@@ -38,6 +39,7 @@ def mask_logits(logits: jax.Array, seen: jax.Array) -> jax.Array:
 
     The last numbers of an observation say that, see `AgentGroup.discrete`.
     """
+    # Marks are 0 or 1, stored as floats.
     return jnp.where(seen[..., -logits.shape[-1] :] > 0.5, logits, INVALID)
 
 
@@ -139,6 +141,7 @@ class MixedDistribution:
         """Return the logarithm of the probability of a choice, and of the vector where it counts (...)."""
         (logits, numbers), (choice, vector) = self.split(parameters), self.split(sample)
         density: Any = self.numbers.log_prob(numbers, vector)
+        # A vector that is not sent has no effect: its density must not move the ratio of PPO.
         return self.choice.log_prob(logits, choice) + self.vector_share(choice) * density
 
     def entropy(self, parameters: jax.Array, key: jax.Array) -> jax.Array:

@@ -96,6 +96,7 @@ class TrainedNetworks:
         """
         own, rate = self.train_state, fresh.learning_rate
         return fresh.replace(
+            # After an imitation `begin_update` lowers the rate itself.
             learning_rate=rate if config.imitation_steps else initial_adaptive_rate(rate, config),
             params=own.params,
             obs_statistics=own.obs_statistics,

@@ -81,6 +81,7 @@ def spawn(processes: int, command: Sequence[str]) -> int:
     try:
         for i in range(processes):
             ours = {COORDINATOR: address, COUNT: str(processes), INDEX: str(i), PARENT: str(os.getpid())}
+            # JAX reserves memory on every GPU that it sees.
             environment = {**os.environ, **ours, "CUDA_VISIBLE_DEVICES": gpus[i]}
             running.append(subprocess.Popen(command, env=environment))
         return _wait(running)

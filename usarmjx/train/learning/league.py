@@ -82,6 +82,7 @@ def start_league(params: PolicyParams, size: int) -> League:
     """Return a league without past selves; `params` gives the shapes."""
     none = jnp.zeros(size + 2)
     return League(
+        # Free places hold copies, too: a compiled update needs shapes that never change.
         pool=jax.tree.map(lambda one: jnp.stack([one] * size), params),
         since=jnp.full(size, -1, jnp.int32),
         ratings=jnp.full(size, FIRST_RATING),
@@ -249,6 +250,7 @@ def update_league(
     points = won + (games - won - lost) / 2
     all_ratings = jnp.concatenate([league.ratings, jnp.full(1, FIRST_RATING)])
     surprise = points - games * expected_result(league.rating, all_ratings)
+    # Divided by the number of games: a rollout of thousands moves the rating by at most one K.
     rating = league.rating + RATING_STEP * surprise.sum() / jnp.maximum(games.sum(), 1.0)
     # The baseline's stays: the others are measured by it.
     ratings = league.ratings - RATING_STEP * (surprise / jnp.maximum(games, 1.0))[:-1]
@@ -268,6 +270,7 @@ def update_league(
 
 def _with_policy(league: League, params: PolicyParams, now: jax.Array, due: jax.Array) -> League:
     """Return the league with the policy in a free place, or that of the weakest, where it is due ()."""
+    # Minus infinity puts free places before the weakest player.
     place = jnp.argmin(jnp.where(league.since < 0, -jnp.inf, league.ratings))
 
     def put(old: jax.Array, new: jax.Array | float) -> jax.Array:
@@ -277,6 +280,7 @@ def _with_policy(league: League, params: PolicyParams, now: jax.Array, due: jax.
         pool=jax.tree.map(put, league.pool, params),
         since=put(league.since, now),
         ratings=put(league.ratings, league.rating),
+        # The results were those of the player that leaves.
         **{name: put(getattr(league, name), 0.0) for name in RESULTS},
     )
 

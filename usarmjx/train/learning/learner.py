@@ -172,6 +172,7 @@ class Trainer:
         self.stream = ArenaStream(env, config.arena_refresh_interval, self.iterations, workers)
         self.waits = Waits()
         teacher = teacher_of(env, config.teacher) if config.imitation_steps else None
+        # Environments of one's own have no cache.
         known: ProgramCache | None = getattr(env, "program_cache", None)
         # Programs are the same for all seeds and checkpoint settings.
         general = replace(config, seed=0, checkpoint_interval=1, keep_checkpoints=1, black_box=0)
@@ -267,6 +268,7 @@ class Trainer:
 
     def level(self, iteration: int) -> float:
         """Return the difficulty of the arenas in play before an iteration, counted from 0."""
+        # A curriculum of 0 has all arenas in play from the start; the division needs a share above 0.
         share = self.config.curriculum * self.iterations
         return min(1.0, iteration / share) if share else 1.0
 

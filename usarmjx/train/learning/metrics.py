@@ -213,6 +213,7 @@ class MetricsLog:
         self._try(self._lines, lambda: self._lines.append(line.encode()))
         self._try(self._board, lambda: self._board.show(record["agent_steps"], numbers))
         known = numbers if shown is None else {name: one for name, one in shown.items() if one is not None}
+        # An iteration in which no episode ended has no score: the bar keeps the latest one.
         self._shown |= known
         names = ("steps_per_s", "return", "score", "bad")
         latest = {name: self._shown.get(name, math.nan) for name in names}

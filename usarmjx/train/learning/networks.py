@@ -254,7 +254,9 @@ class SetNetwork(nn.Module):
             return jnp.swapaxes(found, -2, -3)
 
         query, key, value = split("query"), split("key"), split("value")  # (..., heads, tokens, n)
+        # Divided by the root of a head's width, as in Vaswani et al., "Attention is all you need" (2017).
         scores = query @ jnp.swapaxes(key, -1, -2) / math.sqrt(size // heads)
+        # The robot's own token always exists, so no row is masked as a whole.
         scores = jnp.where(there[..., None, None, :], scores, MASKED)
         found = jnp.swapaxes(jax.nn.softmax(scores) @ value, -2, -3)
         common = dense(size, f"common_{i}", bias=False)(x[..., :1, :])
@@ -264,6 +266,7 @@ class SetNetwork(nn.Module):
         """Return the features of the picture, by convolutions (..., n)."""
         span, (levels, width, channels) = self.layout.picture_span, self.layout.picture
         x = seen[..., span.first : span.end].reshape(-1, levels, width, width, channels)
+        # Convolutions of flax want one axis of channels, the last: levels become channels.
         x = jnp.moveaxis(x, 1, 3).reshape(-1, width, width, levels * channels)
         for i, filters in enumerate(FILTERS):
             init = nn.initializers.orthogonal(ROOT_TWO)
@@ -470,6 +473,7 @@ class Network(nn.Module):
             carry: That before the first step (worlds, robots, memory).
             is_first: Whether the carry is reset before the step (steps, worlds).
         """
+        # The layer of shared numbers has no bias: it is added to a layer that has one.
         x, common = dense(self.layers[0], "layer_0")(seen), nn.Dense(self.layers[0], False, name="shared")
         x = nn.elu(with_team_terms(self, x, shared, self.robots, common))
         for i, width in enumerate(self.layers[1:], start=1):
@@ -482,6 +486,7 @@ class Network(nn.Module):
     def _recur(self, x: jax.Array, carry: jax.Array, is_first: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Run the GRU: only the part that needs its own past is done step by step."""
         gates = nn.Dense(3 * self.memory, name="gates")(x)
+        # As in flax's own GRU: orthogonal weights neither stretch nor shrink the carry at the start.
         weights = param(self, "recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
         bias = param(self, "recurrent_bias", nn.initializers.zeros, (self.memory,))
         x = recur(gates, weights, bias, carry, is_first)
@@ -560,6 +565,7 @@ class LearnedPolicy:
         outputs, layout = self.groups[group].outputs, self.layout(group)
         if layout is None:
             return Network(self.layers, self.memory, outputs, scale=POLICY_HEAD_SCALE)
+        # A mean and a deviation for each number of the vector.
         sees, numbers = self.kind == "cnn", 2 * self.groups[group].vector.size
         return SetNetwork(
             self.layers, outputs, layout, chooses=True, sees=sees, scale=POLICY_HEAD_SCALE, numbers=numbers

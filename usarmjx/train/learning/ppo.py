@@ -61,6 +61,7 @@ def teacher_of(env: Env, name: str = BASELINE) -> Policy:
         raise UsageError(
             f"teacher is oracle, which only tasks whose robots choose goals have, not {env.name}"
         )
+    # As a teacher the oracle is the baseline on other observations, see `teacher_obs`.
     if name in PLANNERS and name != ORACLE:
         return PLANNERS[name](env)
     if name not in (BASELINE, ORACLE):
@@ -249,6 +250,7 @@ def compute_targets(
         deviation = jnp.sqrt(_total(jnp.where(valid, (advantage - mean) ** 2, 0.0)) / count)
         # Equal advantages deviate by 0.
         normal.append(jnp.where(valid, (advantage - mean) / (deviation + 1e-8), 0.0))
+        # From the advantage before it is normalised: returns are in the unit of rewards.
         returns.append(advantage + trajectory.value[g])
         # The statistics of the rollout, in which its values were predicted; they are updated after the
         # epochs.
@@ -507,4 +509,5 @@ def _explained_variance(
         return sum(_total(jnp.where(mask, (one - mean) ** 2, 0.0)) for one, mask in pairs) / count
 
     errors = [now - then for now, then in zip(returns, steps.value, strict=True)]
+    # Returns that are all equal have no variance to explain.
     return 1.0 - variance(errors) / jnp.maximum(variance(list(returns)), 1e-8)

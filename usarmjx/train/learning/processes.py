@@ -130,6 +130,7 @@ def distributed_run() -> Generator[ProcessInfo, None, None]:
         else:
             traceback.print_exc()
         sys.stderr.flush()
+        # `sys.exit` would run JAX's exit handlers, which wait for the other processes.
         os._exit(2 if ours else 1)
 
 
@@ -162,6 +163,7 @@ class ProcessGroup:
         self.count, self.index = jax.process_count(), jax.process_index()
         firsts: dict[int, Any] = {}
         for device in jax.devices():
+            # A process may see several devices; the mesh takes its first one.
             firsts.setdefault(device.process_index, device)
         self.device = firsts[self.index]
         self.mesh = Mesh(np.array([firsts[i] for i in range(self.count)]), (PROCESS_AXIS,))
@@ -185,6 +187,7 @@ class ProcessGroup:
         """
 
         def global_array(leaf: jax.Array, spec: jax.ShapeDtypeStruct) -> jax.Array:
+            # Copies nothing: the local part stays in its buffer.
             return jax.make_array_from_single_device_arrays(spec.shape, spec.sharding, [leaf])
 
         return jax.tree.map(global_array, tree, self.global_shapes(tree, axis))
@@ -203,6 +206,7 @@ class ProcessGroup:
     @staticmethod
     def to_local(tree: Tree) -> Tree:
         """Return the local part of global arrays."""
+        # The mesh has one device of each process, so the first part is all of it.
         return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
 
     def barrier(self, name: str) -> None:

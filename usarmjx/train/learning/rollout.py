@@ -210,6 +210,7 @@ class Rollout:
         """Return actions, and the decision behind them; `key` is the rollout's and the number of the step."""
         policy = self.networks.policy
         logits, after = policy.distribution_params(policy_params(train_state), view.obs, carry[0])
+        # By the worlds' numbers among all processes: draws do not depend on the distribution of worlds.
         raw = sample_actions(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
         kinds = [policy.distribution(g) for g in range(len(raw))]
         value, critic = self._value(train_state, view.obs, view.privileged, carry[1])
@@ -304,6 +305,7 @@ class Rollout:
             ],
             lambda: zeros,
         )
+        # A reward of a bad step may be NaN, which would stay in the episode's return.
         reward = tuple(jnp.where(bad[:, None], 0.0, one) for one in after.reward)
         episode_return = episode_return + self._team_reward(reward)
         ended = done & ~bad
@@ -326,6 +328,7 @@ class Rollout:
         )
         episode_sums = {
             "return": jnp.where(ended, episode_return, 0.0),
+            # By the state before the step: a reset in the step has set the later length to 0.
             "length": jnp.where(ended, before.length + 1, 0),
             "timeouts": truncated,
         }

@@ -163,6 +163,7 @@ class SeedRollout(Rollout):
         key: tuple[jax.Array, Any],
         background: Background,
     ) -> tuple[GroupArrays, Decision]:
+        # Bound here: within the nested function `super()` would take that function's first argument for self.
         base = super()._choose_actions
         keys, step = key
 
@@ -220,6 +221,7 @@ class SeedTrainer(Trainer):
         self._fold = jax.jit(jax.vmap(jax.random.fold_in, (0, None)))
 
     def _make_rollout(self, first: int, teacher: Policy | None) -> Rollout:
+        # All seeds train in one process: the worlds of each are numbered from 0, as if it trained alone.
         del first
         return SeedRollout(self.seeds, self.env, self.networks, self.config, teacher, self._program_cache)
 

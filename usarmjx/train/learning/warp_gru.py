@@ -244,11 +244,13 @@ def backward_kernel(units: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
 
 @warp_function
 def _forward(units: int) -> Any:  # noqa: ANN401 - Warp's own
+    # The native code shares memory within a block of exactly that many threads.
     return wp.jax_kernel(forward_kernel(units), block_dim=3 * units)
 
 
 @warp_function
 def _backward(units: int) -> Any:  # noqa: ANN401 - Warp's own
+    # As of the forward kernel: the native code assumes blocks of that size.
     return wp.jax_kernel(backward_kernel(units), block_dim=3 * units)
 
 
