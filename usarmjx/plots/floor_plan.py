@@ -76,6 +76,7 @@ def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True, starts: bool 
         aspect="equal",
         facecolor=PAPER,
         xlim=(x0 - margin, x1 + margin),
+        # Room for the scale below the plan.
         ylim=(y0 - 1.8 * margin, y1 + margin),
         xticks=[],
         yticks=[],
@@ -105,6 +106,7 @@ def _draw_loose(axes: Axes, arena: ArenaSpec, line: float) -> None:
             axes.add_patch(Polygon(outline(placed), fc=shape.rgba, ec=LOOSE, lw=line, zorder=3))
     for door in arena.doors:
         width, x, y = door.size[0], door.at[0], door.at[1]
+        # Rows are vectors, so this matrix is the transposed rotation.
         cos, sin = math.cos(door.yaw), math.sin(door.yaw)
         way = np.array([(0.0, 0.0), (width, 0.0)]) @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
         axes.plot(*way.T, color=DOOR, lw=2 * line, solid_capstyle="butt", zorder=3)
@@ -125,6 +127,7 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
     if not (arena.victims or arena.false_alarms):
         return
     table = victim_table(arena.victims, arena.false_alarms)
+    # Limbs move over time: the plan shows them at time 0.
     pos, quat = segment_poses(table, np.zeros((), np.float32))
     bones: list[tuple[float, np.ndarray, str]] = []
     for i in range(table.num_boxes):
@@ -139,6 +142,7 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
         )
         bones.append((height_range(bone)[1], outline(bone), VICTIM if table.owner[i] >= 0 else ALARM))
     bones.sort(key=lambda bone: bone[0])
+    # One collection draws its members in order, and much faster than single patches.
     patches = PatchCollection([Polygon(corners) for _, corners, _ in bones], zorder=4)
     patches.set(facecolor=[colour for _, _, colour in bones], edgecolor="white", linewidth=0.3)
     axes.add_collection(patches)
@@ -169,6 +173,7 @@ def _draw_starts(axes: Axes, arena: ArenaSpec, words: bool) -> None:
 
 def _draw_scale(axes: Axes, at: tuple[float, float], longest: float, fontsize: float) -> None:
     """Draw a bar of a round length."""
+    # The power of ten just below, whose 1, 2 or 5 fold is the largest that fits.
     step = 10.0 ** math.floor(math.log10(longest))
     length = max(step * factor for factor in (1, 2, 5) if step * factor <= longest)
     axes.plot([at[0], at[0] + length], [at[1]] * 2, color="black", lw=3.0, solid_capstyle="butt", zorder=6)

@@ -68,14 +68,17 @@ FRAME_FACTOR = 1.1
 def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarray:
     """Return a picture (height, width, 3) of a robot on a floor, its joints at zero, filling the frame."""
     plan = kinematic_tree_of(robot)
+    # The clearance is the height of a robot's origin when its wheels touch the floor.
     start = StartPose(tag="here", at=(0.0, 0.0, plan.clearance))
     scene = build_scene(ArenaSpec(name="studio", starts=(start,), extent=((0, 0), (0, 0))), [robot])
     data = mujoco.MjData(scene.model)
+    # A new scene parks its robots outside of the arena.
     data.qpos[scene.groups[0].indices[0].root_qposadr :][:7] = (*start.at, 1.0, 0.0, 0.0, 0.0)
     azimuth, elevation = PORTRAIT_ANGLES
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
     eye, target = fit_camera(_corners(plan), back / np.linalg.norm(back), width / height)
     right, up, forward = camera_axes(eye - target)
+    # Viewpoints have a horizontal field of view, this module's constant is vertical.
     fov = 2 * math.atan(width / height * math.tan(FOV_Y / 2))
     viewpoint = pinhole_viewpoint(eye, np.stack([forward, -right, up], -1), fov)
     looks = geom_colors_of(scene)
@@ -181,9 +184,11 @@ def arena_render_geoms(arena: ArenaSpec) -> RenderGeoms:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     solids = render_geoms_of(model, data, materials_of(model, arena), labels_of(model, arena))
+    # Victims of the model are the boxes that sensors hit; pictures show limbs in their places.
     solids = solids.select(~np.isin(solids.label, (VICTIM_LABEL, FALSE_ALARM_LABEL)))
     solids = solids.concatenate(victim_geoms(victim_table(arena.victims, arena.false_alarms), arena.floor))
     corners = np.array([(water.low, water.high) for water in arena.waters]).reshape(-1, 2, 3)
+    # Water's corners are heights above the floor.
     corners[..., 2] += arena.floor
     return solids.concatenate(
         box_geoms(corners[:, 0], corners[:, 1], np.array(WATER_RGB), WATER_TRANSPARENCY)

@@ -53,6 +53,7 @@ class BatchView:
         frames = [self._source.frame(world) for world in range(len(self._drawings))]
         self._times.append(float(frames[0].time))
         poses = [np.column_stack([frame.pos, frame.quat, frame.shown]) for frame in frames]
+        # The page reads single precision, and positions of an arena need no more.
         self._poses.append([pose.astype(np.float32) for pose in poses])
 
     def __repr__(self) -> str:
@@ -60,6 +61,7 @@ class BatchView:
         return f"BatchView({self._title}, worlds={len(self._drawings)}, moments={len(self._times)})"
 
     def _repr_html_(self) -> str:
+        # In a frame its scripts and styles are apart from the notebook's own.
         page = escape(self.page(), quote=True)
         return (
             f'<iframe srcdoc="{page}" style="width:100%;height:{self._height}px;border:0" '
@@ -130,6 +132,7 @@ def view_batch(
 def _without_floor(solids: Solids) -> Solids:
     """Return solids without an unbounded floor, and sorted by body."""
     kept = np.flatnonzero(~solids.is_floor)
+    # The page has a count of triangles for each body, so those of a body must follow each other.
     kept = kept[np.argsort(solids.body[kept], kind="stable")]
     return Solids(**{name: value[kept] for name, value in vars(solids).items()})
 
@@ -140,6 +143,7 @@ def _packed(solids: Solids) -> dict[str, Any]:
     bodies, counts = np.unique(solids.body, return_counts=True)
     return {
         "corners": _text(solids.corners.astype(np.float32)),
+        # A byte is enough for light, and a page stays in the notebook's file.
         "normals": _text(np.rint(solids.normals * 127).astype(np.int8)),
         "colours": _text(np.rint(np.clip(colour, 0, 1) * 255).astype(np.uint8)),
         "bodies": [[int(body), int(count)] for body, count in zip(bodies, counts, strict=True)],

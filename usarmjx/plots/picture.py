@@ -43,10 +43,14 @@ def outline(shape: Shape) -> np.ndarray:
 
 def height_range(shape: Shape) -> tuple[float, float]:
     """Return the heights of a solid's lowest and highest points [m]."""
+    # The last row of a rotation gives heights.
     up = mat_from_angles(*np.array(shape.rotation))[2]
     z = _corners(shape) @ up + shape.at[2]
+    # Support of an ellipsoid: its largest height over its centre is the norm of the
+    # radii times the direction.
     reach = float(np.linalg.norm(_radii(shape) * up))
     if shape.kind == "cylinder":  # of its end discs
+        # A disc reaches as high as its radius times the sine of its tilt.
         reach = shape.size[0] * math.hypot(up[0], up[1])
     return float(z.min()) - reach, float(z.max()) + reach
 
@@ -151,6 +155,7 @@ def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
     ranges = np.array(scan["ranges"], float)
     (x, y, yaw), (at_x, at_y, at_yaw) = scan["pose"], scan["at"]
     spread = np.asarray(np.linspace(scan["fov"] / 2, -scan["fov"] / 2, len(ranges)), float)
+    # The wire's yaw turns clockwise, as its y axis points to the right.
     angle = yaw + at_yaw + spread
     # In the wire's axes, y right and yaw clockwise; only the points are turned into ours.
     start_x = x + at_x * math.cos(yaw) - at_y * math.sin(yaw)
@@ -217,6 +222,7 @@ def draw_shapes(axes: Axes, arena: ArenaSpec) -> None:
             _draw_terrain(axes, shape)
         else:
             sorts.setdefault(_sort(shape, above), []).append(shape)
+    # Once for each solid: it is a key of the sorting and of the colours.
     tops = {id(shape): height_range(shape)[1] for shape in sorts.get("ground", ())}
     for sort, members in sorts.items():
         style = dict(STYLES[sort])
@@ -241,6 +247,7 @@ def _sort(shape: Shape, above: float) -> str:
 def _draw_terrain(axes: Axes, shape: Shape) -> None:
     assert shape.heights is not None
     z = np.asarray(shape.heights.heights, float) + shape.at[2]
+    # MuJoCo's height fields have rows along y and columns along x.
     x, y = np.meshgrid(*(np.linspace(-h, h, n) for h, n in zip(shape.size, z.shape[::-1], strict=False)))
     cos, sin = math.cos(shape.rotation[2]), math.sin(shape.rotation[2])
     x, y = shape.at[0] + cos * x - sin * y, shape.at[1] + sin * x + cos * y

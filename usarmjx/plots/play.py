@@ -112,14 +112,18 @@ def record_episode(
     moments = [(0.0, float(np.asarray(state.score)[WORLD]), *positions_of(env, state))]
     if watch is not None:
         watch(state)
+    # Less a rounding error, which would drop the last of a whole number of steps.
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         before, state, step = state, env.step(state, actions), step + 1
+        # A robot that comes back must not go on with the memory of the one before.
         carry = carry_of_alive(carry, before.alive, state.alive)
         done, cut, bad = (bool(np.asarray(flag)[WORLD]) for flag in (state.done, state.truncated, state.bad))
+        # A task may count its time limit as an end, and then nothing is cut off.
         late = cut or (env.task.time_limit == "end" and step >= env.episode_steps)
         if done:
             end = "physics failed" if bad else "time is up" if late else "done"
+            # The world has been reset within this step: positions are those of the next episode already.
             moments.append((step * env.period, float(np.asarray(state.final_score)[WORLD]), *moments[-1][2:]))
         else:
             if watch is not None:
@@ -158,6 +162,7 @@ def positions_of(env: Env, state: EnvState, world: int = WORLD) -> tuple[np.ndar
             mat = mat_from_quat(states.quat)
             yaw = np.arctan2(mat[:, 1, 0], mat[:, 0, 0])
             poses = np.column_stack([states.pos[:, :2], yaw])
+            # NaN breaks the drawn line, and Matplotlib leaves such a marker out.
             found[np.asarray(group.slots)] = np.where(
                 np.asarray(members.active)[world, :, None], poses, np.nan
             )
@@ -171,7 +176,7 @@ def _caption(shown: EpisodeRecording, frame: int) -> str:
 
 def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
     """Draw the robots, their ways so far, what lies loose and the goal; return what was drawn."""
-    # What an arena of several does not have waits far outside of the picture.
+    # Objects that an arena of several lacks wait far outside of the picture.
     inside: dict[str, Any] = {"scalex": False, "scaley": False, "zorder": 7}
     drawn: list[Any] = axes.plot(*shown.loose[frame].T, "o", color=LOOSE, ms=6, mec="white", **inside)
     if shown.goal is not None:
@@ -233,6 +238,7 @@ def save_gif(shown: EpisodeRecording, path: Path, speedup: float = GIF_SPEEDUP) 
     count = min(MAX_FRAMES, len(shown.times))
     frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
     pictures = [Image.fromarray(pixels).quantize(64) for pixels in film_frames(shown, frames)]
+    # From the simulated times, as moments are left out of long films.
     lasts = np.diff(shown.times[frames], append=shown.times[-1]) / speedup
     # Browsers take less than 20 ms for a mistake, and show such pictures slowly.
     durations = [*(max(20, round(1000 * one)) for one in lasts[:-1]), 2000]
@@ -272,6 +278,7 @@ def ranked_worlds(reward: np.ndarray, bad: np.ndarray) -> dict[str, int]:
         reward: Rewards of each step (steps, worlds).
         bad: Steps in which a world went bad (steps, worlds); such a world counts only if all are bad.
     """
+    # A world whose physics failed has rewards of no meaning.
     sound = np.flatnonzero(~bad.any(0))
     worlds = np.asarray(sound if len(sound) else np.arange(bad.shape[1]), int)
     # Stable, so that equal sums always give the same worlds.
@@ -399,6 +406,7 @@ def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
         if not ends:
             continue
         colour, label = PALETTE[-1 - number], f"{len(ends)} {kind}"
+        # Matplotlib draws each column as a line: (x or y, sender or receiver, message).
         axes.plot(*np.stack(ends).transpose(2, 1, 0), color=colour, lw=0.5, alpha=0.5, zorder=7)
         axes.plot(*np.stack(ends)[:, 0].T, ".", color=colour, ms=2.0, zorder=7, label=label)
     if sent:

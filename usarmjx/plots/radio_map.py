@@ -98,6 +98,7 @@ def power_map(
     )
     up = source[2] if len(source) > 2 else ANTENNA_HEIGHT
     grid = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), up if height is None else height)], -1)
+    # Heights are above the floor, solids are in the world's axes.
     ends = (grid.reshape(-1, 3) + np.array([0.0, 0.0, arena.floor])).astype(np.float32)
     start = np.broadcast_to(np.array([*source[:2], up + arena.floor], np.float32), ends.shape)
     walls = count_walls(arena_solids(arena), jnp.asarray(start), jnp.asarray(ends))
@@ -170,6 +171,7 @@ def _title(arena: ArenaSpec, source: Sequence[float], settings: RadioSettings) -
 
 
 def _draw_cutoff(axes: Axes, drawn: PowerMap, cutoff: float) -> None:
+    # A level beyond the data has no line, of which Matplotlib warns.
     if drawn.power.min() < cutoff < drawn.power.max():
         line = axes.contour(drawn.x, drawn.y, drawn.power, [cutoff], colors=CUTOFF_LINE, zorder=3)
         line.set(linewidth=1.2, linestyle="solid")

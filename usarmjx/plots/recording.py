@@ -145,6 +145,7 @@ class _Reader:
                 self.scans.append((time, slot, sensor, value))
             elif robot.sensors[sensor].kind == VICTIM_SENSOR and len(value) == len(self.owners):
                 for victim in np.unique(self.owners[(value[:, 0] > 0) & (self.owners >= 0)]).tolist():
+                    # The first robot that meets a victim keeps it.
                     self.found.setdefault(victim, (time, robot.name))
 
 
@@ -155,6 +156,7 @@ def _scan_points(
     source = RecordingSource(recording)
     points = [np.zeros((0, 2))]
     place = recording.worlds.index(world)
+    # A reading has no pose: the source is moved to its time for that.
     for time, slot, sensor, value in scans[:: max(1, len(scans) // MOST_SCANS)]:
         source.seek(time)
         drawing, frame = source.drawing(place), source.frame(place)
@@ -167,6 +169,7 @@ def _ends(mount: DrawnMount, frame: Frame, value: np.ndarray) -> np.ndarray:
     """Return the end points of the beams of a scan that hit something (points, 2)."""
     settings, body = mount.settings[0], int(mount.body[0])
     ranges = np.asarray(value, float).reshape(-1)
+    # Beams go counter-clockwise from the rightmost.
     angle = -float(settings["scan_fov"]) / 2 + np.arange(len(ranges)) * float(settings["resolution"])
     along, aside = ranges * np.cos(angle), ranges * np.sin(angle)
     # Without `yaw` the scanner sweeps in its upright plane.
@@ -206,6 +209,7 @@ def _as_episode(mission: RecordedMission, title: str) -> EpisodeRecording:
     times = np.unique(np.concatenate([way.times for way in mission.ways]))
     poses = np.zeros((len(times), len(mission.ways), 3))
     for place, way in enumerate(mission.ways):
+        # The last pose at or before each time; before a robot came, its first.
         last = np.clip(np.searchsorted(way.times, times, side="right") - 1, 0, None)
         poses[:, place] = np.array(way.poses)[last]
     known, scores = zip(*(mission.scores or [(0.0, 0.0)]), strict=True)
@@ -335,6 +339,7 @@ def _draw_power(figure: Figure, axes: Axes, mission: RecordedMission) -> None:
     with numpy_backend():  # compiled it would take longer
         drawn = power_map(mission.arena, source, step=step)
     draw_plan(axes, mission.arena, words=False, starts=False)
+    # The few points right at the sender would take half of the colours.
     top = np.percentile(drawn.power, 99.5)
     colours = axes.pcolormesh(
         drawn.x,
@@ -372,6 +377,7 @@ def _draw_distance(axes: Axes, mission: RecordedMission) -> None:
 def _draw_speed(axes: Axes, mission: RecordedMission) -> None:
     for place, way in enumerate(mission.ways):
         times, gone = np.array(way.times), _travelled(way)
+        # Interpolation holds the first value before the start, which the shorter time below makes up for.
         before = np.interp(times - SMOOTHED, times, gone)
         passed = np.minimum(times - times[0], SMOOTHED)
         axes.plot(times, (gone - before) / np.maximum(passed, 1e-9), color=_colour(place), lw=1.0)
@@ -394,6 +400,7 @@ def _draw_score(axes: Axes, mission: RecordedMission) -> None:
 def _draw_found(axes: Axes, mission: RecordedMission) -> None:
     first, last = (pick(time for way in mission.ways for time in way.times) for pick in (min, max))
     times = sorted(time for time, _ in mission.found.values())
+    # The line begins at 0 and goes on to the end of the mission.
     axes.step([first, *times, last], [*range(len(times) + 1), len(times)], where="post", color=FOUND, lw=1.4)
     axes.set_ylim(0, max(1, len(mission.arena.victims)))
     axes.set_title(f"victims met (of {len(mission.arena.victims)})")

@@ -54,7 +54,7 @@ class RenderGeoms:
         rgb: Colours (n, 3).
         transparency: Share of what is behind that is seen through them (n,).
         reflectance: Share of what they reflect in how they look (n,).
-        label: What they are, see `cameras.paint`; an arena's solids show bricks (n,).
+        label: Labels, see `cameras.paint`; an arena's solids show bricks (n,).
     """
 
     kind: np.ndarray
@@ -158,6 +158,7 @@ def camera_rays(eye: np.ndarray, target: np.ndarray, width: int, height: int) ->
     """Return the directions of a picture's rays, row by row from the top (height * width, 3)."""
     right, up, forward = camera_axes(eye - target)
     scale = 2 * math.tan(FOV_Y / 2) / height
+    # Through the middles of pixels.
     x = (np.arange(width) - (width - 1) / 2) * scale
     y = ((height - 1) / 2 - np.arange(height)) * scale
     rays = forward + x[None, :, None] * right + y[:, None, None] * up
@@ -208,7 +209,7 @@ class Lighting:
     Attributes:
         sun: Direction to the sun; need not be a unit vector.
         checker_size: Side of the floor's checkers [m].
-        checker_extent: Where the floor has them, as `ArenaSpec.extent` [m].
+        checker_extent: Part of the floor with them, as `ArenaSpec.extent` [m].
     """
 
     sun: Vec3 = SUN_DIRECTION
@@ -261,6 +262,7 @@ def lit_scene(geoms: Geoms, appearance: GeomAppearance, setting: Lighting) -> Re
 
 @jax.jit
 def _shade(render_scene: RenderScene, start: jax.Array, direction: jax.Array) -> jax.Array:
+    # A picture has no camera on a robot, whose own body rays would leave out.
     return jnp.asarray(shade(render_scene, start, direction, jnp.asarray(EXCLUDE_NONE)).rgb)
 
 
@@ -287,6 +289,7 @@ def render_picture(
     """
     render_scene = _render_scene(solids, lighting)
     rows = camera_rays(eye, target, width, height).reshape(height, width, 3)
+    # Whole tiles: rays are traced tile by tile, as neighbours hit the same few solids.
     room = ((0, -height % TILE), (0, -width % TILE), (0, 0))
     rays = to_tiles(np.pad(rows, room, mode="edge"))
     chunk = min(CHUNK, len(rays))

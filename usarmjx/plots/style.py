@@ -78,6 +78,7 @@ def check_figure(path: Path) -> None:
 @contextmanager
 def figure_style() -> Generator[None]:
     """Use the style for what is drawn within; nothing of matplotlib changes outside."""
+    # Restored on the way out: a user's notebook keeps its own style.
     with mpl.rc_context(fname=STYLE):
         yield
 
@@ -94,6 +95,7 @@ def panels_of(count: int, *, columns: int = 3, width: float = PAGE) -> tuple[Fig
     down = -(-count // across)
     figure = Figure(figsize=(width, PANEL_HEIGHT * down + 0.3), layout="constrained")
     axes = figure.subplots(down, across, squeeze=False).ravel().tolist()
+    # A grid has whole rows, and empty axes would show their frames.
     for spare in axes[count:]:
         spare.set_axis_off()
     return figure, axes[:count]
@@ -135,8 +137,10 @@ def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
     """
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
+    # Without opacity, which would take places of the palette.
     pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
     with atomic_write(path) as fresh:
+        # Without dither, whose noise packs badly.
         Image.fromarray(pixels).quantize(colours, dither=Image.Dither.NONE).save(fresh, "PNG", optimize=True)
 
 
@@ -154,9 +158,11 @@ def save_figure(figure: Figure, path: Path, **metadata: str) -> None:
     """
     check_figure(Path(path))
     with figure_style():
+        # A palette has no room for notes.
         if path.suffix.lower() == ".png" and not metadata:
             save_small(figure, path)
             return
+        # The constructor makes itself the figure's canvas, which without pyplot draws no pixels.
         FigureCanvasAgg(figure)
         with atomic_write(path) as fresh:
             # Without a date the same figure is the same file.

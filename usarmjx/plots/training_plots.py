@@ -181,6 +181,7 @@ def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
     # A dict keeps the last of equal keys: a repeated seed replaces the earlier one.
     last = {(one.task, one.fields, one.engine, one.worlds, one.seed): one for one in curves}
     found: dict[str, list[Curve]] = {}
+    # A dict without values is a set that keeps its order.
     for kind in dict.fromkeys(key[:-1] for key in last):
         rows = [last[key] for key in sorted(last) if key[:-1] == kind]
         devices = " and ".join(sorted({one.device for one in rows} - {""}))
@@ -190,6 +191,7 @@ def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
 
 def thinned(curve: Curve) -> Curve:
     """Return a curve of at most `MOST_POINTS` points, each the mean of as many that follow each other."""
+    # Parts of nearly equal size, and none of them empty.
     parts = np.array_split(np.arange(len(curve.steps)), min(len(curve.steps), MOST_POINTS))
     means = {
         name: np.array([getattr(curve, name)[part].mean() for part in parts])
@@ -236,11 +238,13 @@ def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
         axes.plot(*mean_curve(curves, along), color=PALETTE[0], lw=1.6, label=MEAN)
     if curves[-1].baseline is not None:
         axes.axhline(curves[-1].baseline, color=PALETTE[1], ls="--", lw=1.2, label=BASELINE)
+    # From 0, so that heights compare; lower only where scores are negative.
     axes.set(xlim=(0, None), ylim=(min(0.0, *(curve.score.min() for curve in curves)), None))
 
 
 def panel_title(title: str, runs: int) -> str:
     """Return the title of curves in short lines: task and engine, then worlds, runs and devices."""
+    # Taken apart again: titles are the keys by which curves belong together.
     what, _, about = title.removesuffix(")").partition(" (")
     worlds, *devices = about.split(", ")
     names = ", ".join(devices).replace("NVIDIA ", "").replace(" 80GB HBM3", "").replace("x86_64", "CPU")
@@ -250,6 +254,7 @@ def panel_title(title: str, runs: int) -> str:
 
 def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
     """Draw one legend for all panels, below them, where it covers no curve."""
+    # One handle for each label: panels repeat them.
     there = {
         label: handle
         for panel in panels

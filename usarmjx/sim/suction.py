@@ -1,7 +1,7 @@
 """Vacuum grippers of a single world: they hold the loose object ahead of them as they met it.
 
 The later versions' Vacuum.uc casts a ray of SuctionLength along the gripper's x axis and fixes what it meets
-by a joint. What then moves by more than that length is let go, and the gripper is open.
+by a joint. An object that then moves by more than that length is let go, and the gripper is open.
 """
 
 from collections.abc import Callable, Collection
@@ -32,7 +32,7 @@ class Hold:
         base: Body that the vacuum is mounted on.
         thing: Body of the loose object.
         pos: Position of the object in the base's axes when it was met [m] (3,).
-        reach: How far it may move from there [m].
+        reach: Largest movement from there [m].
     """
 
     name: str

@@ -132,6 +132,7 @@ class Capture:
         with numpy_backend():
             clock = clock_of(scene, world)
             arena_pos, arena_mat, arena_shown = self._arena_poses(world, physics)
+            # Rows follow `Drawing.bodies`: the arena's bodies, then each group's robots with all their parts.
             pos, mat, shown = [arena_pos], [arena_mat], [arena_shown]
             for group, state in zip(scene.groups, world.groups, strict=True):
                 body = robot_states(group, physics)
@@ -144,6 +145,7 @@ class Capture:
                     overlays += _overlays(group, member, state)
             turns = quat_from_mat(np.concatenate(mat))
         return Frame(
+            # From the step counter in double precision: a float32 time loses milliseconds after a few hours.
             time=int(world.step) * scene.physics.period,
             pos=np.concatenate(pos).astype(np.float32),
             quat=np.asarray(turns, np.float32),
@@ -171,6 +173,7 @@ class Capture:
                 yield f"limb/{geom}", limb
         loose = scene.loose_geoms
         row = visible_loose(scene, physics)
+        # Shapes are in their body's axes: the body's pose comes with each frame.
         row = row._replace(pos=loose.local.pos, mat=loose.local.mat)
         for index, thing in enumerate(scene.arena.loose):
             yield f"loose/{thing.name}", _picked(row, np.asarray(loose.owner == index))
@@ -223,6 +226,7 @@ class Capture:
         if moving.any():
             here = moved_geom_poses(scene, state, clock_of(scene, world))
             assert here is not None
+            # Victims' poses are heights above the floor, all others are heights in the world.
             pos.append(np.asarray(here.pos)[moving] + np.array([0.0, 0.0, scene.arena.floor]))
             mat.append(np.asarray(mat_from_quat(here.quat[moving])))
         loose = np.asarray(physics.qpos)[scene.loose_geoms.root_qposadr]
@@ -247,6 +251,7 @@ def _still_limbs(table: VictimTable, time: Time, floor: float) -> list[VisibleGe
     positions, turns = (np.asarray(x)[boxes] for x in segment_poses(table, time))
     found: list[VisibleGeoms] = []
     for limb, at, turn in zip(drawn_limbs(table, boxes), positions, orientations(turns), strict=True):
+        # Rows are vectors, so the product with the transpose turns each of them.
         pos = at + (0.0, 0.0, floor) + np.asarray(limb.pos) @ np.asarray(turn).T
         found.append(limb._replace(pos=pos, mat=np.tile(turn, (len(limb.kind), 1, 1))))
     return found
@@ -370,6 +375,7 @@ def _robot_frame(
         linear=own(body.linear),
         angular=own(body.angular),
         joint_pos=own(body.joint_pos),
+        # Water kills a battery however young it is.
         battery=0.0 if state.drowned[member] else max(0.0, group.robot.battery_life - age),
         light=bool(state.command.light[member]),
         drive=own(state.command.setpoint),

@@ -58,6 +58,7 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
     blocks = [
         vertices,
         mesh.normals.astype("<f4"),
+        # glTF takes colours of corners as linear, and ours are sRGB as in pictures.
         linear_rgb(mesh.rgb).astype("<f4"),
         mesh.faces.astype("<u4").reshape(-1),
     ]
@@ -69,6 +70,7 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
             "byteLength": block.nbytes,
             "target": ELEMENTS if block.ndim == 1 else ARRAYS,
         }
+        # The last offset is the length of the whole buffer.
         for offset, block in zip(offsets, blocks, strict=False)
     ]
     accessors = [
@@ -111,6 +113,7 @@ def _material(finish: Finish) -> dict[str, object]:
         "alphaMode": "OPAQUE" if finish.opacity >= 1.0 else "BLEND",
         "doubleSided": finish.two_sided,
         "pbrMetallicRoughness": {
+            # glTF multiplies it with the corners' colours, so only the opacity differs from 1.
             "baseColorFactor": [1.0, 1.0, 1.0, finish.opacity],
             "metallicFactor": finish.metallic,
             "roughnessFactor": finish.roughness,
@@ -210,6 +213,7 @@ def _by_finish(shape: DrawnShape, rows: np.ndarray) -> dict[Finish, np.ndarray]:
 
 def _finish(material: str, transparency: float) -> Finish:
     if transparency > 0.0:
+        # Rounded, so that glass of nearly equal transparency shares one mesh.
         return Finish(opacity=round(1.0 - transparency, 3), roughness=0.1)
     if material == MIRROR:
         return MIRROR_FINISH
@@ -220,6 +224,7 @@ def _triangles(shape: DrawnShape, rows: np.ndarray) -> TriangleMesh:
     """Return triangles in the form of `models.compile.ray_geoms` as a mesh."""
     pos, mat, size = shape.pos[rows], shape.mat[rows], shape.size[rows]
     corners = np.zeros((len(rows), 3, 3))
+    # In its own axes a triangle has corners (0, 0), (a, 0) and (b, c), and its size numbers are a, b and c.
     corners[:, 1, 0] = size[:, 0]
     corners[:, 2, :2] = size[:, 1:]
     vertices = pos[:, None] + np.einsum("nij,nkj->nki", mat, corners)
@@ -237,6 +242,7 @@ def _solids(shape: DrawnShape, kind: int, rows: np.ndarray) -> list[TriangleMesh
         raise ValueError(f"no picture of geoms of kind {kind}; there are {sorted(SOLIDS)}, {TRIANGLE_KIND}")
     meshes: list[TriangleMesh] = []
     for row in rows.tolist():
+        # Some of these arrays are cached unit solids: nothing below may change them in place.
         vertices, normals, faces = make(shape.size[row].astype(float))
         turn = shape.mat[row].T
         rgb = np.broadcast_to(shape.rgb[row], vertices.shape)
@@ -245,6 +251,7 @@ def _solids(shape: DrawnShape, kind: int, rows: np.ndarray) -> list[TriangleMesh
 
 
 def _plane(size: np.ndarray) -> _Solid:
+    # MuJoCo's planes with a size of 0 have no bounds.
     if not (size[:2] > 0.0).all():
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), int)
     flat = rectangle(-size[:2], size[:2], 0.0, np.zeros(3))
@@ -317,6 +324,7 @@ def _ellipsoid(size: np.ndarray) -> _Solid:
 def _capsule(size: np.ndarray) -> _Solid:
     """Return a sphere that is cut in its middle, with a tube in between."""
     vertices, normals, faces = _unit_sphere(cut=True)
+    # Rings go from top to bottom, with the cut between the two equal middle ones.
     above = np.repeat([1.0, -1.0], len(vertices) // 2)
     moved = vertices * size[0]
     moved[:, 2] += above * size[1]
@@ -365,6 +373,7 @@ def _turned(radius: np.ndarray, height: np.ndarray, normal: np.ndarray) -> _Soli
     here, after = ring * AROUND + corner, ring * AROUND + (corner + 1) % AROUND
     # Two coincident rings with different normals are a sharp edge: there is no side between them.
     side = (np.diff(radius) != 0.0) | (np.diff(height) != 0.0) | (np.diff(normal, axis=0) == 0.0).all(1)
+    # At a pole one of the two triangles of a quad has no area, and no normal.
     lower, upper = side & (radius[1:] > TINY_RADIUS), side & (radius[:-1] > TINY_RADIUS)
     faces = [
         np.stack([here, here + AROUND, after + AROUND], axis=-1)[lower],

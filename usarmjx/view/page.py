@@ -240,9 +240,11 @@ def page_text(original: str) -> str:
     script = SCRIPT.replace("PRODUCT", PRODUCT) + LABEL_SCRIPT
     head = f"<title>{PRODUCT}</title><style>{style}</style><script>{script}</script>"
     before, _, after = original.partition(MARK)
+    # Written as in viser's file; a version with another line keeps its icon.
     first, _, rest = before.partition('<link\n      rel="icon"')
     if rest:
         before = f'{first}<link rel="icon" href="{ICON}" />' + rest.partition("/>")[2]
+    # The script becomes a text that browsers do not run, until ours puts it in as a script.
     return before + head + after.replace(LIBRARY, HELD, 1)
 
 
@@ -289,6 +291,7 @@ class WorldChoice:
         if count < 2:
             return
         gui = page.server.gui
+        # The page begins with world 0, so that is the value here.
         options = [SIDE_BY_SIDE, *(f"world {number}" for number in range(count))]
         self._choice = gui.add_dropdown(
             "World", options, initial_value=options[1], hint="Which world to look at"
@@ -335,6 +338,7 @@ class LayerSwitches:
         self.on = [*others, layer] if on else others
         layer.show(on)
         if on:
+            # A layer that is off misses frames, and would show an old one until the next update.
             layer.update(self._page.drawing, self._page.frame)
 
 
@@ -354,6 +358,7 @@ class ViewButtons:
             self._actions = gui.add_button_group(
                 "Look", tuple(ACTIONS), hint="Click a robot too; keys N, C and F"
             )
+        # The buttons are the server's, for all users: each acts on the view of the one who clicked.
         self._actions.on_click(lambda event: self._do(event.target.value, event.client_id))
         for name in ACTIONS:
             command = gui.add_command(name, hotkey=ACTIONS[name])
@@ -496,6 +501,7 @@ class ViewerPage:
         self.viewers: dict[int, Viewer] = {}
         self.layers: dict[str, Layer] = {name: make() for name, make in LAYERS}
         self.after_last: Callable[[], bool] = lambda: False
+        # Appending and popping at the ends of a deque need no lock between threads.
         self._posted: deque[Callable[[], None]] = deque()
         self._next_update, self._turn = 0.0, 0
         self._frames: list[Frame] = []
@@ -508,6 +514,7 @@ class ViewerPage:
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         # A docked panel leaves the rest of the window to the picture, so that nothing lies behind it.
         self.server.gui.main_panel.dock_right()
+        # The order of these is that of the sidebar.
         self._worlds = WorldChoice(self)
         self._buttons = ViewButtons(self)
         self.panels: list[Panel] = [*(make(self) for make in panels), ScoreboardPanel(self)]
@@ -531,6 +538,7 @@ class ViewerPage:
     @property
     def is_watched(self) -> bool:
         """Whether a user watches, or has just come or gone."""
+        # Without users, nothing is fetched from the device and nothing is drawn.
         return bool(self._posted or self.server.get_clients())
 
     def refresh(self) -> None:
@@ -563,6 +571,7 @@ class ViewerPage:
     def close(self) -> None:
         """Disconnect all users and free the port; panels with a `close` are closed, too."""
         for panel in self.panels:
+            # `Panel` demands no such method: most panels hold nothing.
             getattr(panel, "close", lambda: None)()
         self.server.stop()
 
@@ -649,6 +658,7 @@ class ViewerPage:
         self._stage.update(self._frames)
         if self.robot not in self.drawing.robots:
             self.robot = None
+        # Layers draw in the world's own coordinates, below this node.
         self._over.position = self._cell.offset
         # Layers that are off, too: one that is switched on later must know the drawing.
         for layer in self.layers.values():

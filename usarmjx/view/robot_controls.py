@@ -52,6 +52,7 @@ HIDDEN_OPCODES = ("nop",)
 
 def element_id(button: viser.GuiButtonHandle) -> str:
     """Return the id of a button in the page."""
+    # Viser has no public name for the id that its page gives an element.
     return str(button._impl.uuid)  # pyright: ignore[reportPrivateUsage, reportUnknownMemberType]
 
 
@@ -354,6 +355,7 @@ class RobotControls:
     ) -> None:
         self._client, self._robot, self._world = client, robot, world
         self._controls, self._may = controls, may
+        # Driver, and whether the page has taken the robot over.
         self._known: tuple[str | None, bool] | None = None
         gui = client.gui
         self._take = gui.add_button("Take over", hint="Drive it in place of its client or policy")
@@ -419,6 +421,7 @@ class RobotControls:
         def steer(ahead: float, left: float, up: float) -> None:
             values = drive_values(keys, ahead, left, up, speed.value / 100)
             if not (ahead or left or up):
+                # All keys, so that a robot stops in each of them, also in those that no direction sets.
                 values = dict.fromkeys(keys, 0.0)
             self._do(lambda: self._controls.drive(world, slot, values))
 
@@ -463,6 +466,7 @@ class RobotControls:
         now = frame.robots.get(self._robot.slot)
         with gui.add_folder(title):
             for part in parts:
+                # A joint without limits turns on and on; the slider covers one turn.
                 low, high = part.limits or (-math.pi, math.pi)
                 # Rounded outward, or the slider's steps would leave the limits out.
                 low, high = math.floor(low * 100) / 100, math.ceil(high * 100) / 100

@@ -236,6 +236,7 @@ def seen_victims(robot: DrawnRobot, frame: RobotFrame, owners: np.ndarray) -> li
     found: set[int] = set()
     for sensor, reading in zip(robot.sensors, frame.readings, strict=False):
         value = np.asarray(reading)
+        # A reading whose rows do not fit `owners` is that of another arena, or of a source without facts.
         if sensor.kind == VICTIM_SENSOR and value.ndim == 2 and len(value) == len(owners):
             found |= {int(owner) for owner in owners[(value[:, 0] > 0) & (owners >= 0)]}
     return sorted(found)
@@ -271,7 +272,7 @@ def board_html(
         title: Name of the world.
         drawing: Drawing of the world.
         frame: Its present frame.
-        facts: What these lack.
+        facts: Further facts of the world.
         log: Events of the world.
         layers: Names of the layers that are on.
     """
@@ -287,6 +288,7 @@ def board_html(
     area = known_area(frame)
     if area is not None:
         lines.append(("explored", f"{area:.0f} m&sup2;"))
+    # A world without a task has an empty text in the first line.
     cells = "".join(f"<tr><td>{name}</td><td>{text}</td></tr>" for name, text in lines if text)
     slots = [slot for slot in sorted(frame.robots) if slot in drawing.robots]
     robots = HEADINGS if slots else ""
@@ -326,6 +328,7 @@ def _link(frame: Frame, slot: int) -> str:
 
 def clock(seconds: float) -> str:
     """Return a time as minutes and seconds."""
+    # Rounded down, or a clock would show a second that has not yet passed.
     whole = max(0, math.floor(seconds))
     return f"{whole // 60}:{whole % 60:02d}"
 
@@ -340,6 +343,7 @@ class ScoreboardPanel:
     def __init__(self, page: "ViewerPage") -> None:
         self._page = page
         self._logs: dict[int, MissionLog] = {}
+        # First in the sidebar, whichever panels come later; the page's script moves it over the picture.
         self._shown = page.server.gui.add_html("", order=-1000)
         self._text, self._due = "", 0.0
         self._world: int | None = None
@@ -356,11 +360,13 @@ class ScoreboardPanel:
             return
         self._due, self._world = now + UPDATE_PERIOD, world
         facts = board_facts(self._page.source, world)
+        # One for each world: a user who comes back to a world finds its events.
         log = self._logs.setdefault(world, MissionLog())
         log.update(drawing, frame, facts)
         layers = [layer.name for layer in self._page.layers_on]
         number = f" {world}" if self._page.source.num_worlds > 1 else ""
         text = board_html(f"{self._page.title or drawing.arena}{number}", drawing, frame, facts, log, layers)
+        # Each assignment is a message to all browsers, even of an equal text.
         if text != self._text:
             self._shown.content = self._text = text
 

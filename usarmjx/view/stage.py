@@ -45,6 +45,7 @@ class BodyBatch:
 
     def __init__(self, scene: viser.SceneApi, path: str, shape: DrawnShape) -> None:
         self._scene, self._path = scene, path
+        # A glTF material covers a whole mesh, so each finish is a mesh of its own.
         self._meshes = [(finish, glb_of(mesh, finish)) for finish, mesh in meshes_of(shape).items()]
         self._handles: list[viser.BatchedGlbHandle] = []
         self._rows, self._visible = np.zeros(0, int), True
@@ -132,6 +133,7 @@ class Stage:
                 key = self._key(shape)
                 shapes[key] = shape
                 rows.setdefault(key, []).append(first + index)
+            # Rows count through all worlds, as their frames are joined in `update`.
             first += len(drawing.bodies)
         for key in self._batches.keys() - rows.keys():
             self._batches.pop(key).end()
@@ -153,6 +155,7 @@ class Stage:
         """
         pos = np.concatenate(
             [frame.pos + cell.offset for frame, cell in zip(frames, self.cells, strict=True)],
+            # Offsets are in double precision, and the browser takes single.
             dtype=np.float32,
         )
         quat = np.concatenate([frame.quat for frame in frames])
@@ -174,6 +177,7 @@ class Stage:
         """Return the common name of all equal shapes."""
         if shape not in self._keys:
             # By contents: equal robots of several worlds share one mesh in the browser.
+            # Single precision is what it draws, whatever types a recording holds.
             fields = [np.ascontiguousarray(value, np.float32).tobytes() for value in _numbers(shape)]
             data = b"".join([*fields, "\n".join(map(str, shape.material)).encode()])
             self._keys[shape] = hashlib.blake2b(data, digest_size=8).hexdigest()
@@ -210,6 +214,7 @@ class Stage:
 
     def _floor(self, path: str, cell: StagedWorld, rgb: np.ndarray) -> viser.GlbHandle:
         low, high = cell.drawing.extent.T
+        # Depth resolution falls with the distance, and a larger arena is seen from farther away.
         height = cell.drawing.floor - FLOOR_DROP * float(np.linalg.norm(high - low))
         mesh = rectangle(low - GROUND_MARGIN, high + GROUND_MARGIN, height, rgb)
         data = glb_of(mesh, Finish(roughness=1.0))
@@ -219,6 +224,7 @@ class Stage:
 def floor_rgb(drawing: Drawing) -> np.ndarray | None:
     """Return the colour of a drawing's unbounded floor (3,); None without one."""
     for shape in drawing.shapes.values():
+        # A plane of size 0 has no bounds, in MuJoCo's words.
         is_floor = (shape.kind == PLANE) & ~(shape.size[:, :2] > 0.0).all(1)
         if is_floor.any():
             return shape.rgb[np.flatnonzero(is_floor)[0]]
@@ -245,10 +251,12 @@ def grid_offsets(drawings: Sequence[Drawing]) -> list[np.ndarray]:
     Returns:
         Offsets [m] (3,), one each: rows go from left to right and from far to near.
     """
+    # At least as many columns as rows: pictures are wider than high.
     columns = int(np.ceil(np.sqrt(len(drawings))))
     size = np.max([np.diff(drawing.extent, axis=1)[:, 0] for drawing in drawings], axis=0)
     step = size + 2 * GROUND_MARGIN
     return [
+        # All floors come to height 0, and the middles of all arenas onto the grid.
         np.array([*(np.array([n % columns, -(n // columns)]) * step - _middle(drawing)), -drawing.floor])
         for n, drawing in enumerate(drawings)
     ]

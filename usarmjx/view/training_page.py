@@ -32,6 +32,7 @@ class BatchSource:
         self._batch, self._state = batch, state
         self._worlds = np.asarray(worlds, np.int32)
         self._capture = Capture(batch.scene)
+        # Compiled, so that the device sends the few shown worlds and not the whole batch.
         self._pick = jax.jit(_picked)
         self._fetched: tuple[Any, ...] | None = None
         self._drawings: dict[int, tuple[int, Drawing]] = {}
@@ -48,6 +49,7 @@ class BatchSource:
     def drawing(self, world: int) -> Drawing:
         """Return a world's drawing: a new one when an episode brings another arena."""
         state, physics = self._one(world)
+        # A single arena looks the same in all episodes.
         episode = 0 if state.arena_state is None else int(state.episode)
         known = self._drawings.get(world)
         if known is None or known[0] != episode:
@@ -100,11 +102,13 @@ class TrainingPage:
         jax.block_until_ready(state.worlds.step)  # time of the device's pending work is not the page's
         began = self._now()
         if self._source is None or self._page is None:
+            # Only now: a page takes its first drawing from a state.
             self._source = BatchSource(self._batch, state, range(min(self._batch.worlds, MAX_SIDE_BY_SIDE)))
             self._page = self._make_page(self._source)
         self._source.show(state)
         self._page.refresh()
         ended = self._now()
+        # Solved for the wait after which this refresh is `TIME_SHARE` of the time from its begin on.
         self._due = ended + (ended - began) * (1.0 - TIME_SHARE) / TIME_SHARE
 
     def close(self) -> None:

@@ -62,6 +62,7 @@ class SensorPlot:
             tuple(np.zeros(2) for _ in range(lines + 1)),
             cast(tuple[uplot.Series, ...], series),
             title=title,
+            # uPlot takes x as seconds since 1970 otherwise, and writes dates.
             scales={"x": cast(uplot.Scale, {"time": False})},
             legend=cast(uplot.Legend, {"show": False}),
             height=HEIGHT,
@@ -72,6 +73,7 @@ class SensorPlot:
         # An infinity would spoil the plot's scale; NaN leaves a gap.
         values = np.where(np.isfinite(reading), reading, np.nan).astype(float).ravel()
         if not self._over_time:
+            # Rounded up, so that no more than `MAX_POINTS` are left.
             values = values[:: -(-len(values) // MAX_POINTS)]
             self._plot.data = (np.arange(len(values), dtype=float), values)
             return
@@ -83,7 +85,9 @@ class SensorPlot:
         self._past.append(np.array([time, *values]))
         while time - self._past[0][0] > WINDOW:
             self._past.popleft()
+        # A single point has no line.
         if len(self._past) > 1:
+            # Copied, as rows of a transposed array are not contiguous in memory.
             self._plot.data = tuple(np.array(self._past).T.copy())
 
 
@@ -152,6 +156,7 @@ def state_html(robot: DrawnRobot, frame: RobotFrame, driver: str | None = None) 
         frame: The robot now.
         driver: Its driver; None: unknown.
     """
+    # Capital letters are SciPy's intrinsic rotations: yaw first, then pitch and roll in the turned axes.
     yaw, pitch, roll = Rotation.from_quat(frame.quat, scalar_first=True).as_euler("ZYX", degrees=True)
     x, y, z = frame.pos
     rows = [
@@ -194,6 +199,7 @@ def _joints(robot: DrawnRobot, frame: RobotFrame) -> str:
     turned = [
         f"{html.escape(name)} {value:.2f}"
         for name, value in zip(robot.joints, frame.joint_pos, strict=False)
+        # Angles of wheels grow without bound and tell nothing.
         if "wheel" not in name.lower()
     ]
     return ", ".join(turned[:MAX_JOINTS]) + (" ..." if len(turned) > MAX_JOINTS else "")
@@ -213,6 +219,7 @@ class UserPanels:
         self._banner = page.server.gui.add_html("")
         self._people: dict[int, UserPanel] = {}
         self._next_update = 0.0
+        # At once, in viser's thread: robots must stop although no update follows when the last user leaves.
         page.server.on_client_disconnect(lambda client: self._leave(client.client_id))
 
     def begin(self, drawing: Drawing) -> None:
@@ -230,10 +237,12 @@ class UserPanels:
         status = None if controls is None else controls.status(self._page.world)
         if status is not None:
             self._show_banner(status)
+        # Nothing to remove: viser has dropped the GUI of a user who has left.
         for number in self._people.keys() - viewers.keys():
             del self._people[number]
         for number, viewer in list(viewers.items()):
             if number not in self._people:
+                # A user's elements are ordered with the server's: below the banner of all.
                 order = self._banner.order
                 self._people[number] = UserPanel(self._page, viewer.client, self._lock, order)
                 self._people[number].begin(drawing, frame)
@@ -318,6 +327,7 @@ class UserPanel:
         if tuple(self._choice.options) != options:
             self._choice.options = options
         self._choice.value = NO_ROBOT if self._slot is None else names[self._slot]
+        # Start poses are those of an arena, so its form must change with it.
         if self._held and self._shown_world != (self._page.world, drawing.arena):
             self._show_run(drawing)
         self._show_robot(drawing, frame)
@@ -425,6 +435,7 @@ class UserPanel:
         now = time.monotonic()
         if status.errors > self._errors and now >= self._toast_due:
             self._errors, self._toast_due = status.errors, now + TOAST_PERIOD
+            # Several failures between two notifications show as the last of them.
             self._client.add_notification("Not done", status.last_error, auto_close_seconds=8.0, color="red")
 
 

@@ -36,6 +36,7 @@ MAX_RISE, MAX_SINK = 0.15, 0.02
 """Largest change of the elevation in an update, up and down [rad]: quickly out of a wall, and slowly back."""
 LOOK_AHEAD = 1.0
 """Distance of the pivot in front of a robot's camera, about which the mouse turns the picture [m]."""
+# Browsers report cameras in single precision, and late.
 FRAMED_TOLERANCE, MAX_FRAMED = 1e-3, 4
 """Share of its position within which a camera counts as unmoved, and most remembered positions."""
 PICK_MARGIN = 0.15
@@ -55,6 +56,7 @@ def bounds_of(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
     """Return least and largest x, y and z of a drawing's visible bodies [m], both (3,)."""
     low, high = drawing.extent.T
     tops = [drawing.floor + MIN_HEIGHT]
+    # Robots move about, and would zoom the first view with them.
     for shape in (drawing.shapes[body.shape] for body in drawing.bodies if body.slot == NOBODY):
         boxes = shape.kind == BOX
         # Half the height of a turned box: what its half axes have along z.
@@ -114,8 +116,10 @@ class _Framing:
         for _ in range(4):
             around = self._corners - target
             depth, across = around @ self.ahead, np.abs(around @ self._axes.T)
+            # A corner is inside if its offset across is at most half the picture times distance plus depth.
             distance = max(float((across / (self._half * FILL_SHARE) - depth[:, None]).max()), 0.5)
             seen = self._seen(target, distance)
+            # The pictured middle, back from shares of the picture to metres at the target's distance.
             target = target + distance / 2 * ((seen.max(0) + seen.min(0)) * self._half) @ self._axes
         return target, distance
 
@@ -126,6 +130,7 @@ class _Framing:
 
         The box moves to the right and down as far as it must, and away if that is not enough.
         """
+        # From shares of the upper left to coordinates from -1 to 1, up positive.
         edge = np.array([2 * corner[0] - 1, 1 - 2 * corner[1]])
         for away in distance * RETREAT ** np.arange(MAX_RETREATS):
             centred = self._moved(target, away, np.array([0.5, 0.5]))
@@ -147,6 +152,7 @@ class _Framing:
             seen = self._seen(target, distance)
             low, high = seen.min(0), seen.max(0)
             room = np.maximum(2 * FILL_SHARE - (high - low), 0.0)
+            # A share of 0 is the lower left: there the box's lower edge is at -FILL_SHARE.
             move = place * room - FILL_SHARE - low
             target = target - distance * (move * self._half) @ self._axes
         return target
@@ -168,6 +174,7 @@ class Walls:
     """
 
     def __init__(self, drawing: Drawing) -> None:
+        # Loose objects and doors move: their poses at the start would soon be wrong.
         still = [body.shape for body in drawing.bodies if body.slot == NOBODY and body.name == "arena"]
         shapes = [drawing.shapes[name] for name in still]
         kept = [(shape.kind == BOX) & (shape.transparency < OCCLUDER_TRANSPARENCY) for shape in shapes]
@@ -285,6 +292,7 @@ class Viewer:
 
     def attach(self, robot: int | None) -> None:
         """Attach to a robot in the present mode, or at first to its camera, as the viewing client did."""
+        # Without a last pose, the next update moves the camera even if the pose is the same by chance.
         self.robot, self.camera, self._last_pose, self._chase = robot, 0, None, None
         if robot is None:
             self.mode = ViewMode.FREE
@@ -380,6 +388,7 @@ def move_camera(client: viser.ClientHandle, pose: CameraPose) -> None:
     """Move a user's camera, in one message."""
     with client.atomic():
         client.camera.up_direction = pose.up
+        # The target comes after the position: viser moves the target along with a new position.
         client.camera.position = pose.pos
         client.camera.look_at = pose.look_at
 
@@ -464,6 +473,7 @@ def _box_distance(start: np.ndarray, ray: np.ndarray, half: np.ndarray) -> float
     ray = np.where(np.abs(ray) < 1e-9, 1e-9, ray)
     sides = np.sort([(-half - start) / ray, (half - start) / ray], axis=0)
     enters, leaves = sides[0].max(), sides[1].min()
+    # A box around the start is entered behind it; one behind the start is left before 0.
     return max(float(enters), 0.0) if leaves >= max(float(enters), 0.0) else None
 
 

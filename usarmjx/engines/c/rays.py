@@ -59,7 +59,7 @@ def cone_to_box(axes: LocalRays, chord: np.ndarray) -> np.ndarray:
 
     Args:
         axes: The first rays of the bundles.
-        chord: How far the ends of the others' unit vectors are from its end (pairs,).
+        chord: Largest distance of the other unit vectors' ends from its end (pairs,).
     """
     low, high = np.zeros((1, len(chord))), np.full((1, len(chord)), np.inf)
     for point, along, size in zip(*axes, strict=True):

@@ -28,9 +28,11 @@ def find_ffmpeg() -> str:
         MissingExtraError: There is none; names the extra.
     """
     try:
+        # Here, as the package belongs to an extra.
         import imageio_ffmpeg  # pyright: ignore[reportMissingImports, reportMissingTypeStubs]
 
         return imageio_ffmpeg.get_ffmpeg_exe()
+    # imageio-ffmpeg raises RuntimeError if it has no program for this system.
     except (ImportError, RuntimeError):
         found = shutil.which("ffmpeg")
     if found is None:
@@ -52,7 +54,10 @@ def write_mp4(pictures: Iterator[np.ndarray], path: Path, rate: float) -> int:
     height, width = (number // 2 * 2 for number in first.shape[:2])  # yuv420p has even sides only
     command = [
         *(program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
+        # Options before an input of ffmpeg describe the input, those after it the output.
         *("-s", f"{width}x{height}", "-r", f"{rate:g}", "-i", "-"),
+        # Players of browsers take yuv420p only; faststart puts the index first, so they play while they load.
+        # The format is named, as the fresh file has another suffix.
         *("-pix_fmt", "yuv420p", "-crf", QUALITY, "-movflags", "+faststart", "-f", "mp4", str(path)),
     ]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -91,8 +96,10 @@ def write_gif(pictures: Iterator[np.ndarray], path: Path, rate: float) -> int:
         format="GIF",
         save_all=True,
         append_images=small[1:],
+        # Pillow takes milliseconds.
         duration=(10 * np.diff(ends)).tolist(),
         loop=0,
+        # Pillow would choose a palette for each picture again.
         optimize=False,
     )
     return len(small)
@@ -107,6 +114,7 @@ def write_first(pictures: Iterator[np.ndarray], path: Path, rate: float, kind: s
 
 def _palette(frames: list[Image.Image]) -> Image.Image:
     """Return a picture with the palette of some of the pictures, spread over the film."""
+    # A short film has fewer pictures than places: the set below drops the repeated ones.
     chosen: list[float] = np.linspace(0, len(frames) - 1, PALETTE_PICTURES).tolist()
     some = [frames[n] for n in sorted({int(place) for place in chosen})]
     width, height = some[0].size

@@ -71,7 +71,7 @@ def save_film(
     Args:
         recording: The recording.
         path: File to write, .mp4 or .gif; .png and .jpg get the first picture.
-        plan: What it shows.
+        plan: Choice of its moments and view.
         tell: Takes the number of finished pictures and that of all.
 
     Raises:
@@ -106,6 +106,7 @@ def check_film(path: Path) -> None:
     if path.suffix.lower() not in WRITERS:
         raise UsageError(f"{path}: films end in {', '.join(SUFFIXES)}")
     if path.suffix.lower() == ".mp4":
+        # Before any picture is drawn, which takes minutes.
         find_ffmpeg()
 
 
@@ -122,6 +123,7 @@ def picture_times(plan: FilmPlan, start: float, end: float) -> np.ndarray:
         )
     # A single moment is a picture, too.
     count = max(1, round((last - begin) * plan.rate / plan.speed))
+    # Counted and not added up, so that rounding does not grow with the length of the film.
     return begin + np.arange(count) * plan.speed / plan.rate
 
 
@@ -155,7 +157,7 @@ class Shots:
     Args:
         source: The recording.
         index: Index of the world in the source.
-        plan: What the film shows.
+        plan: Choice of moments and view.
     """
 
     def __init__(self, source: RecordingSource, index: int, plan: FilmPlan) -> None:
@@ -174,6 +176,7 @@ class Shots:
         pose, moves = self._pose(drawing, frame)
         view = FilmView.of(pose, *self._plan.size)
         overlays = self._signs.overlays(frame, view) if self._plan.signs else []
+        # Only a camera that stands still shows the same background again.
         picture = self._scene.render(frame, view, overlays, keep=not moves)
         if not self._plan.signs:
             return picture
@@ -187,6 +190,7 @@ class Shots:
             self._last = self._chase.pose(drawing.robots[slot], frame)
             return self._last, True
         width, height = self._plan.size
+        # Without the followed robot the camera stays at its last pose.
         return self._last or fit_box(*self._scene.bounds, width / height), False
 
 

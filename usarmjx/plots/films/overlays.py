@@ -49,7 +49,7 @@ class Overlay:
 
         Args:
             rgb: Colours, 0 to 255 uint8 (pixels, 3); changed in place.
-            canvas: What is there.
+            canvas: The solids drawn so far.
             view: The view.
         """
         if not len(self.corners):
@@ -61,6 +61,7 @@ class Overlay:
         pixels = np.flatnonzero((triangle >= 0) & (nearness > canvas.surface().nearness))
         colours = self.rgb[triangle[pixels]]
         mixed = rgb[pixels] + self.opacity * (colours - rgb[pixels].astype(np.float32))
+        # Rounded: a cast to integers cuts, and several overlays would darken the picture.
         rgb[pixels] = np.floor(mixed + 0.5).astype(np.uint8)
 
 
@@ -112,6 +113,7 @@ class Signs:
             ),
             Overlay(
                 np.concatenate([_diamonds(points, view), *rings]),
+                # Each point is a diamond of two triangles.
                 np.concatenate([np.repeat(rgb, 2, 0), *ring_rgb]),
                 SIGN_OPACITY,
             ),
@@ -124,6 +126,7 @@ class Signs:
             robot, size = frame.robots[slot], self._drawing.robots[slot].dimensions
             radius = RING_SHARE * size[:2] / 2 + RING_GAP
             w, x, y, z = robot.quat.tolist()
+            # The heading alone: rings lie flat however their robot leans.
             yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
             turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
             own = vertices * [*radius, radius.max()] @ turn.T + robot.pos
@@ -137,8 +140,10 @@ class Signs:
             if slot not in self._drawing.robots:
                 continue
             trail = self._trails.setdefault(slot, deque(maxlen=TRAIL_LENGTH))
+            # A robot's position is that of its middle.
             below = float(self._drawing.robots[slot].dimensions[2]) / 2 - TRAIL_LIFT
             here = np.asarray(robot.pos, float) - (0.0, 0.0, below)
+            # By distance and not by time, so that a standing robot does not push out its trail.
             if not trail or np.linalg.norm(here - trail[-1]) > TRAIL_STEP:
                 trail.append(here)
             points.append(np.array(trail))
@@ -208,6 +213,7 @@ def _plate(
     """Write a name whose plate ends at a point [pixels], with a line of the robot's colour below it."""
     font, gap = _font(height, False), height // 3
     x, y = at[0], at[1] - gap
+    # Anchor "ms": the point is the middle of the baseline.
     left, top, right, bottom = pen.textbbox((x, y), text, font=font, anchor="ms")
     pen.rectangle((left - gap, top - gap, right + gap, bottom + gap), fill=PLATE)
     pen.rectangle((left - gap, bottom + gap, right + gap, bottom + 2 * gap), fill=(*rgb, 255))

@@ -96,6 +96,7 @@ class RasterCaster:
     def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:
         """Return the known hits."""
         del origin, direction
+        # The shader asks for solids behind glass with glass transparent, and for the panes otherwise.
         return self._solid if GLASS in query.transparent else self._pane
 
     def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
@@ -113,6 +114,7 @@ class RasterCaster:
         column, row = jnp.floor(x).astype(int), jnp.floor(y).astype(int)
         inside = (column >= 0) & (column < side - 1) & (row >= 0) & (row < side - 1)
         first = jnp.where(inside, row * side + column, 0)
+        # Without the bias a surface would shadow itself: a texel has one depth for a whole square of it.
         lowest = held.reach - local[:, 2] + SHADOW_BIAS / held.scale
         right, down = x - column, y - row
         # Between four texels the border of a shadow is a line, not a staircase.
@@ -136,9 +138,11 @@ class RasterCaster:
         second, third = jnp.clip(
             jnp.moveaxis((self._table.dual[which] * offset[:, None]).sum(-1), -1, 0), 0, 1
         )
+        # Clipped: a sample at an edge lies a little outside of its triangle.
         share = jnp.stack([jnp.maximum(1 - second - third, 0.0), second, third], -1)
         normal = (jnp.asarray(self._table.normals)[which] * share[..., None]).sum(1)
         normal = normal / jnp.maximum(jnp.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+        # Panes and fenders are seen from behind, too, where their normals point away.
         away = (normal * direction).sum(-1, keepdims=True) > 0
         return jnp.where(there[:, None], jnp.where(away, -normal, normal), 0.0)
 
@@ -157,6 +161,7 @@ class Lens(struct.PyTreeNode, kw_only=True):
     width: Array
 
 
+# Static, as the materials decide which parts of the shader are traced at all.
 @partial(jax.jit, static_argnames="materials")
 def _shade(
     scene: RenderScene,
@@ -276,6 +281,7 @@ class FilmScene:
         """Draw triangles, without those of closed solids that show their back."""
         rows = np.flatnonzero(which)
         here = corners[rows]
+        # Corners are counter-clockwise from outside, also after a rotation.
         outward = np.cross(here[:, 1] - here[:, 0], here[:, 2] - here[:, 0])
         front = ((view.eye - here[:, 0]) * outward).sum(-1) > 0
         rows = rows[front | self._solids.two_sided[rows]]
@@ -292,6 +298,7 @@ class FilmScene:
             for column in range(SAMPLES):
                 same &= keys[row::SAMPLES, column::SAMPLES] == first
         wanted = np.repeat(np.repeat(~same, SAMPLES, 0), SAMPLES, 1)
+        # One sample of each pixel is shaded in any case: the others may copy it.
         wanted[::SAMPLES, ::SAMPLES] = True
         pixels = np.flatnonzero(wanted)
         rgb = np.zeros((view.height, view.width, 3), np.uint8)
@@ -388,6 +395,7 @@ class _Base(NamedTuple):
         moved[:-1] |= moved[1:]
         moved[:, 1:] |= moved[:, :-1]
         moved[1:] |= moved[:-1]
+        # The appended texel is that of samples without one.
         differ |= np.append(moved.reshape(-1), False)[self.texels]
         return np.flatnonzero(differ)
 
@@ -404,6 +412,7 @@ def _lens(view: FilmView) -> Lens:
 
 def _mean(rgb: np.ndarray) -> np.ndarray:
     """Return the means of samples as pixels, uint8 (height, width, 3)."""
+    # Sums of four bytes exceed a byte; half of the divisor below rounds to the nearest.
     total = np.zeros((rgb.shape[0] // SAMPLES, rgb.shape[1] // SAMPLES, 3), np.uint16)
     for row in range(SAMPLES):
         for column in range(SAMPLES):
@@ -449,6 +458,7 @@ def camera_shots(recording: Recording, period: float, world: int | None = None) 
 def _shots(source: RecordingSource, index: int, number: int, period: float) -> Iterator[CameraShot]:
     drawn: Drawing | None = None
     scene: FilmScene | None = None
+    # A picture at the start, too.
     for step in range(math.floor((source.end - source.start) / period) + 1):
         source.seek(source.start + step * period)
         drawing, frame = source.drawing(index), source.frame(index)
@@ -461,6 +471,8 @@ def _shots(source: RecordingSource, index: int, number: int, period: float) -> I
                     assert robot is not None
                     view = camera_view(camera, frame, SIZE)
                     quat = np.zeros(4)
+                    # A view has right, up and ahead, which are left-handed; an optical frame has
+                    # right, down and ahead.
                     mujoco.mju_mat2Quat(quat, (view.axes * [1.0, -1.0, 1.0]).ravel())
                     yield CameraShot(
                         time=source.time,
@@ -468,6 +480,7 @@ def _shots(source: RecordingSource, index: int, number: int, period: float) -> I
                         robot=robot.name,
                         camera=camera.names[0],
                         pos=view.eye,
+                        # Both signs are the same rotation: one of them makes equal poses equal numbers.
                         quat=quat if quat[0] >= 0 else -quat,
                         fov=float(camera.settings[0]["fov"]),
                         size=SIZE,
@@ -481,6 +494,7 @@ def camera_view(camera: DrawnMount, frame: Frame, size: tuple[int, int]) -> Film
     mujoco.mju_quat2Mat(turn, np.asarray(frame.quat[body], float))
     mat = turn.reshape(3, 3)
     ahead = mat @ np.asarray(camera.mat[0], float) @ OPTICAL  # right, down, ahead
+    # Fields of view of cameras are horizontal, that of the live page is vertical.
     focal = size[0] / 2 / math.tan(float(camera.settings[0]["fov"]) / 2)  # type: ignore[arg-type]
     eye = np.asarray(frame.pos[body], float) + mat @ np.asarray(camera.pos[0], float)
     return FilmView(eye, ahead * [1.0, -1.0, 1.0], focal, *size)

@@ -53,10 +53,12 @@ class Canvas:
 
     def __init__(self, width: int, height: int) -> None:
         self.width, self.height = width, height
+        # Little-endian whatever the machine, as `surface` reads the halves of each key by their places.
         self.keys = np.zeros(width * height, "<u8")
 
     def copy(self) -> "Canvas":
         """Return a canvas with the same content."""
+        # Without the constructor, which would fill the keys with zeros first.
         other = Canvas.__new__(Canvas)
         other.width, other.height, other.keys = self.width, self.height, self.keys.copy()
         return other
@@ -73,6 +75,8 @@ class Canvas:
             nearness: Nearness of the corners, above 0 (n, 3).
             number: Index of each in the surface (n,).
         """
+        # Corners near the picture plane project millions of pixels away, where single precision is too
+        # coarse.
         xy, nearness = np.asarray(xy, np.float64), np.asarray(nearness, np.float64)
         first, second = xy[:, 1] - xy[:, 0], xy[:, 2] - xy[:, 0]
         area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
@@ -103,6 +107,7 @@ class Canvas:
         key = near.view(np.uint32).astype(np.uint64)
         key <<= np.uint64(32)
         key |= rows.number[row]
+        # Unbuffered: several fragments of one pixel in the same call all compete.
         np.maximum.at(self.keys, rows.pixel[row] + along, key)
 
 
@@ -135,6 +140,7 @@ def _rows(
     which = np.repeat(np.arange(len(xy)), count)
     y = top[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
     middle = y + 0.5
+    # The screen's sides bound each row, too.
     left, right = np.zeros(len(which)), np.full(len(which), float(width))
     for corner in range(3):
         start, edge = xy[:, corner], xy[:, (corner + 1) % 3] - xy[:, corner]
@@ -297,6 +303,8 @@ class SunView:
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(right, away), away], -1)
         radius = float(np.linalg.norm(high - low)) / 2
+        # The box's sphere fits into the map from any side; the reach is larger, as robots may
+        # be above the box.
         return cls((low + high) / 2, axes, side / (2 * radius), side, 10 * radius)
 
     def draw(self, canvas: Canvas, corners: np.ndarray, number: np.ndarray) -> None:
@@ -320,11 +328,13 @@ class SunView:
     def texels(self, view: FilmView, canvas: Canvas) -> np.ndarray:
         """Return the texel of what each pixel of a view shows; one past the last for none (pixels,)."""
         found = np.full(len(canvas.keys), self.side * self.side, np.int32)
+        # The view's axes in those of the sun: a pixel's texel needs no way through the world's axes.
         right, up, ahead = view.axes.T @ self.axes
         start = (view.eye - self.middle) @ self.axes
         nearness = canvas.surface().nearness.reshape(view.height, view.width)
         x = (np.arange(view.width) + 0.5 - view.width / 2) / view.focal
         rows = found.reshape(view.height, view.width)
+        # Row by row: arrays of all samples of a large picture would take hundreds of megabytes.
         for row in range(view.height):
             y = (view.height / 2 - row - 0.5) / view.focal
             depth = 1 / np.maximum(nearness[row], 1e-9)
@@ -408,8 +418,10 @@ def solids_of(drawing: Drawing) -> Solids:
 def _part(mesh: TriangleMesh, finish: Finish, label: int, body: int, is_floor: bool = False) -> Solids:
     count = len(mesh.faces)
     return Solids(
+        # In double precision, as poses and projections follow.
         corners=mesh.vertices[mesh.faces].astype(np.float64),
         normals=mesh.normals[mesh.faces].astype(np.float64),
+        # Solids have one colour each, so any corner has that of the triangle.
         rgb=mesh.rgb[mesh.faces[:, 0]].astype(np.float32),
         transparency=np.full(count, 1.0 - finish.opacity, np.float32),
         reflectance=np.full(count, MIRROR_REFLECTANCE * (finish.metallic > 0), np.float32),
@@ -426,6 +438,7 @@ def _kept(shape: DrawnShape, drawing: Drawing, overhead: float | None) -> DrawnS
     if overhead is not None:
         boxes = shape.kind == BOX
         half = np.abs(shape.mat) @ shape.size[..., None].astype(float)
+        # By the underside, so that high walls that stand on the floor stay.
         above = boxes & (shape.pos[:, 2] - half[:, 2, 0] > overhead) & kept
         area = float((4 * half[above, 0, 0] * half[above, 1, 0]).sum())
         if area > ROOF_SHARE * float(np.prod(np.diff(drawing.extent, axis=1))):

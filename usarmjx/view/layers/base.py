@@ -50,6 +50,7 @@ UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 
 def robot_colors(slots: np.ndarray) -> np.ndarray:
     """Return the colours of robots by slot, 0 to 255 (..., 3)."""
+    # Slots have no bound: after the last colour the first follows.
     return ROBOT_COLORS[np.asarray(slots, int) % len(ROBOT_COLORS)]
 
 
@@ -172,6 +173,7 @@ class LineNode:
             return
         self._handle.visible = bool(len(ends))
         if len(ends):
+            # Both at each change: their numbers of rows must agree in the browser.
             self._handle.points, self._handle.colors = ends, colors
 
 

@@ -53,6 +53,7 @@ def mount_poses(frame: Frame, mount: DrawnMount) -> tuple[np.ndarray, np.ndarray
 def quat_product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the products of quaternions, w first, (n, 4) each: `second` within `first`."""
     w, x, y, z = first.T
+    # The matrix of a multiplication from the left, one for each of `first`: (4, 4, n).
     rows = np.array([(w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w)])
     return np.einsum("ijn,nj->ni", rows, second)
 
@@ -115,6 +116,7 @@ class ReadingPoses:
         self._at = np.concatenate([np.zeros((0, 3)), *(sensor.mount.pos for sensor in sensors)])
         self._local = np.concatenate([np.zeros((0, 3, 3)), *(sensor.mount.mat for sensor in sensors)])
         self._turn = quats_of(self._local)
+        # Sensors that report together have one reading, which is empty only beyond the least of their ranges.
         self._max_range = [min(one.max_range for one in sensor.settings) for sensor in sensors]
 
     def update(self, frame: Frame) -> list[int]:
@@ -124,6 +126,7 @@ class ReadingPoses:
             robot, before = frame.robots.get(sensor.slot), self.readings[number]
             if robot is None:
                 if len(before):
+                    # Reported as new once, so that layers remove the last scan of a robot that has left.
                     self.readings[number] = before[:0]
                     new.append(number)
                 continue
@@ -135,6 +138,7 @@ class ReadingPoses:
             quat = frame.quat[self._body]
             with numpy_backend():
                 mat = np.asarray(mat_from_quat(quat))
+                # For all mounts at once, although few are new: NumPy's time is that of its calls.
                 pos = frame.pos[self._body] + np.asarray(matvec(mat, self._at))
                 mat = np.asarray(matmul(mat, self._local))
             turned = quat_product(quat, self._turn)
@@ -234,6 +238,7 @@ class CameraLayer(NodeLayer):
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Follow pan, tilt and zoom."""
         del drawing
+        # Robots that have left stay in the drawing until the next one, and have no frame.
         there = [one for one in self._cameras if one[0] in frame.robots]
         fov = np.array([frame.robots[slot].fovs[index] for slot, index, _ in there], float)
         body = np.array([mount.body[0] for _, _, mount in there], int)

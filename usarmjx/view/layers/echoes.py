@@ -42,6 +42,7 @@ def beam_directions_of(sensor: DrawnSensor) -> np.ndarray:
 def fan_faces(beams: int) -> np.ndarray:
     """Return the triangles of a fan (beams - 1, 3): corner 0 is its tip, the others are the beams' ends."""
     first = np.arange(1, beams)
+    # A beam has no triangle with the first one again: a scan of less than a full turn stays open.
     return np.stack([np.zeros_like(first), first, first + 1], -1)
 
 
@@ -98,6 +99,7 @@ class _Scan:
             if self._fan is not None:
                 self._fan.set(start[:0], self._faces[:0])
             return
+        # A beam without an echo reports its largest range.
         hit = (ranges > 0) & (ranges < self._max_range)
         # Beams without an echo are cut short, or the fan would cover the whole arena.
         drawn = np.where(hit, ranges, np.minimum(ranges, LONGEST_BEAM))
@@ -121,6 +123,7 @@ def sound_cone(angle: float) -> tuple[np.ndarray, np.ndarray]:
     this = np.arange(CONE_SIDES)
     following = (this + 1) % CONE_SIDES
     for ring in range(CAP_RINGS):
+        # Rings shrink towards the axis, so the last corner closes the cap.
         tilt = angle / 2 * (CAP_RINGS - ring) / CAP_RINGS
         circle = np.stack([np.cos(around), np.sin(around)], -1) * math.sin(tilt)
         corners.append(np.column_stack([np.full(CONE_SIDES, math.cos(tilt)), circle]))
@@ -164,6 +167,7 @@ class SonarLayer(NodeLayer):
             return
         ranges = _ranges(self._held)
         for same, node in self._cones:
+            # A scale of 0 would send a cone that no one sees.
             rows = same[ranges[same] > 0]
             node.set(self._held.pos[rows], self._held.quat[rows], ranges[rows], self._rgb[rows])
 

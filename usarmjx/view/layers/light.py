@@ -87,6 +87,7 @@ class SkyLayer(NodeLayer):
 
     def _shine(self) -> None:
         indoors = self._indoors
+        # Viser's lights come on top of ours, and all would be white.
         self.scene.configure_default_lights(enabled=False)
         # An environment map comes late: a browser would compile all shaders anew and filter the map.
         # Without a graphics card that takes ten seconds and more.
@@ -118,7 +119,9 @@ class SkyLayer(NodeLayer):
             name,
             color=SUN_RGB,
             intensity=intensity,
+            # The half angle of a circle of the arena's radius, seen from `SPOT_HEIGHT` radii away.
             angle=math.atan(1 / SPOT_HEIGHT),
+            # Sunlight is as strong at the far side of the arena as at the near one.
             decay=0.0,
             cast_shadow=True,
             position=(x, y, z),
@@ -161,6 +164,8 @@ class LampLayer(NodeLayer):
             return
         # The brightest first, as each light takes time for every surface.
         for lamp in np.argsort(-brightness, kind="stable")[:MOST_LAMPS].tolist():
+            # The colour is at full scale and the intensity has the brightness: 8 bits would clip a lamp
+            # brighter than 1.
             red, green, blue = (255 * rgb[lamp] / brightness[lamp]).astype(int).tolist()
             self.scene.add_light_point(
                 f"{self.root}/lamp{lamp}",
@@ -214,6 +219,7 @@ class HeadlightLayer(NodeLayer):
             color=(255, 244, 214),
             intensity=WHITE_CANDELA * HEADLIGHT_BRIGHTNESS * 2,
             angle=SPOT_OUTER_ANGLE,
+            # Of three.js: the share of the angle over which the light fades out at the rim.
             penumbra=1 - SPOT_INNER_ANGLE / SPOT_OUTER_ANGLE,
             distance=HEADLIGHT_REACH,
             cast_shadow=number < MOST_SHADOWS,
@@ -225,5 +231,6 @@ def _edges(pos: np.ndarray, mat: np.ndarray) -> np.ndarray:
     around = math.pi / 4 + math.pi / 2 * np.arange(4)
     out = math.sin(SPOT_INNER_ANGLE)
     ways = np.stack([np.full(4, math.cos(SPOT_INNER_ANGLE)), out * np.cos(around), out * np.sin(around)], -1)
+    # The headlight shines along the mount's x axis.
     ends = pos + BEAM_LENGTH * ways @ mat.T
     return np.stack([np.broadcast_to(pos, ends.shape), ends], 1)

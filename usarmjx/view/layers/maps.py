@@ -54,6 +54,7 @@ class ScanMap:
         self.low = low
         self.cell = max(SCAN_CELL, float((high - low).max()) / MOST_SQUARES)
         self._steps = np.arange(0.0, SCAN_REACH, self.cell)
+        # One square more than fits, as `low` is the middle of the first one.
         self.evidence: np.ndarray = np.zeros(np.ceil((high - low) / self.cell).astype(int) + 1, np.int8)
 
     def add(self, start: np.ndarray, ends: np.ndarray, hit: np.ndarray) -> None:
@@ -64,6 +65,7 @@ class ScanMap:
             ends: Ends of its beams [m] (beams, 2).
             hit: Which of them are echoes (beams,).
         """
+        # Rounded up, so that no more than `MOST_BEAMS` are left.
         every = -(-len(ends) // MOST_BEAMS)
         along = (ends - start)[::every]
         # A beam of no length has no direction, and passes no square.
@@ -111,6 +113,7 @@ class MapLayer(NodeLayer):
             [
                 sensor
                 for sensor in sensors_of(drawing, RangeScanner)
+                # A scanner that sweeps up and down sees floors and ceilings, which are no walls of a map.
                 if isinstance(sensor.settings[0], ScannerSettings) and sensor.settings[0].yaw
             ]
         )
@@ -138,6 +141,7 @@ class MapLayer(NodeLayer):
 
     def _add_scans(self, frame: Frame) -> None:
         """Add some of the new scans, those that have waited longest."""
+        # A dict keeps the order of arrival, and a scanner that already waits keeps its turn.
         self._waiting |= dict.fromkeys(self._held.update(frame))
         for number in list(self._waiting)[:SCANS_AT_ONCE]:
             del self._waiting[number]
@@ -154,6 +158,7 @@ class MapLayer(NodeLayer):
         if self._shown is not None and np.array_equal(squares, self._shown):
             return
         self._shown = squares
+        # Squares are (x, y), pictures (row, column).
         pixels = MAP_RGBA[squares.T].repeat(ENLARGED, 0).repeat(ENLARGED, 1)
         if self._image is not None:
             self._image.image = pixels

@@ -55,10 +55,12 @@ class GridLayer(NodeLayer):
     def draw(self, drawing: Drawing) -> None:
         """Draw it below the whole arena, with its lines at the joints of the arena's elements."""
         low, high = np.asarray(drawing.extent, float).T
+        # A multiple of the cell, so that the stronger lines of a wide arena stay where they are.
         cell = CELL if (high - low).max() <= WIDE else CELL * CELLS_OF_SECTION
         # Less a little, or rounding would add a cell where whole ones fit.
         cells = np.ceil((high - low) / cell - 1e-6) + 2
         width, height = (cells * cell).tolist()
+        # The middle of the grid, which begins one cell before the arena's corner.
         x, y = (low + cell * (cells / 2 - 1)).tolist()
         size = math.hypot(width, height)
         self.scene.add_grid(
@@ -71,6 +73,7 @@ class GridLayer(NodeLayer):
             section_color=(84, 76, 66),
             cell_thickness=0.8,
             section_thickness=1.2,
+            # Beyond the whole grid, or its far lines would fade out.
             fade_distance=4 * size,
             fade_strength=1.0,
             shadow_opacity=0.0,
@@ -129,6 +132,7 @@ class TagLayer(NodeLayer):
             return
         self._dropped = dropped
         pos = np.concatenate([self._fixed, dropped])
+        # In the order of `pos` above: fixed tags first.
         rgb = np.repeat([TAG_RGB, DROPPED_RGB], [len(self._fixed), len(dropped)], axis=0)
         self._discs.set(pos, np.tile(UPRIGHT, (len(pos), 1)), np.ones(len(pos)), rgb)
 
@@ -295,6 +299,7 @@ class RingLayer(NodeLayer):
         slots = np.array(sorted(frame.robots), int)
         robots = [frame.robots[slot] for slot in slots.tolist()]
         size = np.array([drawing.robots[slot].dimensions for slot in slots.tolist()]).reshape(-1, 3)
+        # Along and across: the ring of a long robot is an ellipse.
         radius = RING_SHARE * size[:, :2] / 2 + RING_GAP
         scale = np.column_stack([radius, radius.max(-1)]) if len(slots) else np.zeros((0, 3))
         pos = np.array([robot.pos for robot in robots]).reshape(-1, 3)

@@ -30,6 +30,7 @@ def dashes(walls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     gaps = np.minimum(walls, MOST_GAPS)
     link = np.repeat(np.arange(len(gaps)), gaps + 1)
+    # Index of each part within its link: parts of all links stand in one row.
     number = np.arange(len(link)) - np.repeat(np.cumsum(gaps + 1) - (gaps + 1), gaps + 1)
     first, last = number == 0, number == gaps[link]
     middle = 0.5 + GAP_SPACING * (number - gaps[link] / 2)
@@ -88,6 +89,7 @@ class RadioLayer(NodeLayer):
         with numpy_backend():
             up = np.asarray(mat_from_quat(np.array([robot.quat for robot in robots])))[:, :, 2]
         pos = np.array([robot.pos for robot in robots]) + top[:, None] * up
+        # As in `comms.links`: the antenna of a robot on its back would be inside the floor.
         return np.maximum(pos, (-np.inf, -np.inf, drawing.floor + MIN_ANTENNA_HEIGHT))
 
     def _write(self, texts: list[str], positions: np.ndarray) -> None:
