@@ -108,11 +108,10 @@ def record_episode(
         raise UsageError(f"{seconds} seconds, expected more than 0")
     act, carry, key = jax.jit(policy.act), policy.initial_carry(env.worlds), random.key(seed)
     state, step, end = env.reset(seed), 0, ""
-    arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
+    arena, goal = env.batch.arena_of(state.batch, WORLD), _goal_on_floor(state, WORLD)
     moments = [(0.0, float(np.asarray(state.score)[WORLD]), *positions_of(env, state))]
     if watch is not None:
         watch(state)
-    # Less a rounding error, which would drop the last of a whole number of steps.
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         before, state, step = state, env.step(state, actions), step + 1
@@ -123,7 +122,6 @@ def record_episode(
         late = cut or (env.task.time_limit == "end" and step >= env.episode_steps)
         if done:
             end = "physics failed" if bad else "time is up" if late else "done"
-            # The world has been reset within this step: positions are those of the next episode already.
             moments.append((step * env.period, float(np.asarray(state.final_score)[WORLD]), *moments[-1][2:]))
         else:
             if watch is not None:
@@ -132,8 +130,6 @@ def record_episode(
                 (step * env.period, float(np.asarray(state.score)[WORLD]), *positions_of(env, state))
             )
     times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
-    # Tasks keep goals of several forms; only points on the floor can be drawn.
-    in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
     names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
     return EpisodeRecording(
         task=env.name,
@@ -143,9 +139,17 @@ def record_episode(
         scores=scores,
         poses=poses,
         loose=loose,
-        goal=np.asarray(goal)[WORLD] if in_plane else None,
+        goal=goal,
         end=end,
     )
+
+
+def _goal_on_floor(state: EnvState, world: int) -> np.ndarray | None:
+    """Return the goal of a world [m] (2,); None in a task without one."""
+    goal = getattr(state.memory, "goal", None)
+    # Tasks keep goals of several forms; only points on the floor can be drawn.
+    in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
+    return np.asarray(goal)[world] if in_plane else None
 
 
 def positions_of(env: Env, state: EnvState, world: int = WORLD) -> tuple[np.ndarray, np.ndarray]:
@@ -323,8 +327,6 @@ class Clips:
                 if not ended[step, world]:
                     moments[rank].append(self._moment(after, world))
         names = tuple(one.name or f"{one.spec.name}{slot}" for slot, one in enumerate(env.scene.roster))
-        goal = getattr(inputs.env_state.memory, "goal", None)
-        in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
         found: dict[str, EpisodeRecording] = {}
         for rank, world in worlds.items():
             scores, poses, loose = (np.array(column) for column in zip(*moments[rank], strict=True))
@@ -336,7 +338,7 @@ class Clips:
                 scores=scores,
                 poses=poses,
                 loose=loose,
-                goal=np.asarray(goal)[world] if in_plane else None,
+                goal=_goal_on_floor(inputs.env_state, world),
                 end="",
             )
         return found
