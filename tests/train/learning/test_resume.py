@@ -9,6 +9,7 @@ import zipfile
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -231,6 +232,21 @@ def test_a_checkpoint_of_something_else_is_refused(copy, reference):
 def test_a_run_is_not_resumed_with_other_settings(copy, change, words):
     with pytest.raises(UsageError, match=words):
         run(copy, replace(CONFIG, **change), resume=True)
+
+
+class WiderToy(DriveToy):
+    """`DriveToy` whose critics see one number more."""
+
+    privileged_size = 7
+
+    def see(self, x, time):
+        obs, privileged = super().see(x, time)
+        return obs, jnp.append(privileged, 1.0)
+
+
+def test_a_run_whose_critics_saw_other_numbers_is_not_resumed(copy):
+    with pytest.raises(UsageError, match=r"other settings: numbers that only critics see: 6 -> 7$"):
+        train(lambda worlds, first: WiderToy(worlds, first), CONFIG, copy, True, progress=False)
 
 
 def test_a_folder_with_a_run_is_not_overwritten(reference, tmp_path):

@@ -105,8 +105,11 @@ PACKAGES = ("jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "n
 """Packages whose versions a record keeps, because results depend on them."""
 MAY_CHANGE = ("total_steps", "keep_checkpoints", "checkpoint_interval", "black_box")
 """Settings that may differ when a run is resumed."""
-FIXED = ("task", "engine", "overrides", "groups", "privileged_size", "episode_steps", "processes")
-"""Fields of a record that may not differ when a run is resumed."""
+FIXED = {
+    **{name: name for name in ("task", "engine", "overrides", "groups", "episode_steps", "processes")},
+    "privileged_size": "numbers that only critics see",
+}
+"""Fields of a record that may not differ when a run is resumed, and their names in messages."""
 
 
 for task in ("hover-inspect", "wander"):
@@ -487,10 +490,10 @@ class RunRecord:
             UsageError: Lists the differences.
         """
         changed = differences(old.config, self.config, but=MAY_CHANGE)
-        for name in FIXED:
+        for name, shown in FIXED.items():
             before, now = _plain(getattr(old, name)), _plain(getattr(self, name))
             if before != now:
-                changed.append(f"{name}: {before} -> {now}")
+                changed.append(f"{shown}: {before} -> {now}")
         if changed:
             raise UsageError(f"the run in {folder} was started with other settings: {'; '.join(changed)}")
 
