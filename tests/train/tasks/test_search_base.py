@@ -9,9 +9,10 @@ import pytest
 
 from tests.train.rooms import play, room
 from usarmjx.train.evaluation.yardsticks import measure_teams
-from usarmjx.train.mapping.maps import MARK
+from usarmjx.train.mapping.maps import FREE, MARK
 from usarmjx.train.mapping.wavefront import frontier
 from usarmjx.train.tasks import TASKS
+from usarmjx.train.tasks.critic_features import OWN_WIDTH, TRUTH_WIDTH
 from usarmjx.train.tasks.goal_features import NEWS_SCALE, OBSERVATION_SIZE
 from usarmjx.train.tasks.reporting_team import LOOK_ANGLE, LOOK_RADIUS, LOOK_RANGE, SearchBase, in_view
 
@@ -163,6 +164,42 @@ def test_marks_of_the_base_are_its_only_news(late):
     _, memory, _ = late[-1]
     marked = np.argwhere(np.asarray(memory.belief.squares)[0] == MARK)
     np.testing.assert_array_equal(marked, [np.round(np.array(VICTIM) / 0.3)])
+
+
+def critics_view(view, memory):
+    """Of a team of two: facts (3,), true maps (3, 256), own maps (2, 64), poses (12,), victims (2, 6)."""
+    seen = np.asarray(TASK.privileged(view, memory))
+    ends = np.cumsum([3, 3 * TRUTH_WIDTH**2, 2 * OWN_WIDTH**2, 12])
+    facts, true, own, poses, victims = np.split(seen, ends)
+    return facts, true.reshape(3, -1), own.reshape(2, -1), poses, victims.reshape(2, -1)
+
+
+def test_critics_see_victims_and_who_knows_of_them(late):
+    """Robot 1 meets the victim in step 1, hears of robot 2 after step 2, and the base of it in step 5."""
+    shown = [critics_view(view, memory)[-1] for view, memory, _ in late]
+    for row in shown:
+        np.testing.assert_allclose(row[:, 0], 1.0)
+        np.testing.assert_allclose(row[:, 1:3], np.array([VICTIM, OTHER]) / [6.0, 3.0], rtol=1e-6)
+        np.testing.assert_array_equal(row[1, 3:], 0.0)
+    known = np.array([row[0, 3:] for row in shown])
+    np.testing.assert_array_equal(known[:, 1], [0, 1, 1, 1, 1, 1, 1])
+    np.testing.assert_array_equal(known[:, 0], [0, 0, 0, 0, 0, 1, 1])
+    assert known[-1, 2] == 1.0
+    # The second robot passes the report on, so it has it before the base.
+    assert np.flatnonzero(known[:, 2])[0] < np.flatnonzero(known[:, 0])[0]
+
+
+def test_critics_see_the_map_of_each_robot(late):
+    """The free squares of a robot's map, counted; a block of a map has a known number of squares."""
+    view, memory, _ = late[0]
+    own = critics_view(view, memory)[2]
+    free = np.asarray(memory.belief.squares)[1:] == FREE
+    block = np.prod([-(-side // OWN_WIDTH) for side in free.shape[1:]])
+    np.testing.assert_allclose(own.sum(1) * block, free.sum((1, 2)), rtol=1e-5)
+    blank = memory.belief.replace(evidence=memory.belief.evidence.at[2].set(0))
+    first, second = critics_view(view, memory.replace(belief=blank))[2]
+    np.testing.assert_array_equal(first, own[0])
+    np.testing.assert_array_equal(second, 0.0)
 
 
 def test_teams_of_any_number_see_as_much():

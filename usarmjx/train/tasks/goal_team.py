@@ -32,6 +32,7 @@ from usarmjx.train.mapping.planning import (
 )
 from usarmjx.train.mapping.wavefront import frontier
 from usarmjx.train.tasks import messages
+from usarmjx.train.tasks.critic_features import OWN_WIDTH, TRUTH_WIDTH, coarse
 from usarmjx.train.tasks.equip import base_station, mapping_robot
 from usarmjx.train.tasks.goal_features import (
     CHANNELS,
@@ -75,8 +76,6 @@ from usarmjx.train.tasks.team import (
 
 HOLD = 2
 """Number of the goal to stay, of tasks that have it; else that of the second robot."""
-TRUTH_WIDTH = 16
-"""Squares along a side of the maps that critics see."""
 RECENT_REPORT = 1.0
 """A robot whose beliefs had come to the base so short a time ago has nothing new for it [s]."""
 
@@ -105,6 +104,8 @@ class GoalTeam(TeamTask):
     `goals+message`: 17 more numbers, one for each option of that message; the mask shows the options in the
     first half of the time between two choices of goals, and goals in the second. With `message_floats` there
     are 4 more options, to send a vector, and behind all choices its numbers; see `learned_vectors`.
+
+    Critics see the truth, and what each robot knows of it: see `privileged`.
 
     Robots that touch something pay for their contacts. Besides its part of the points, each robot gets `hint`
     times 100 times the share of the building that it was the first to see; this is not part of the score.
@@ -713,10 +714,15 @@ class GoalTeam(TeamTask):
         """Return the true map of what the score counts, for critics (i, j)."""
 
     def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """As `TeamTask`, and true maps: the building, what is explored, and what the score counts."""
+        """As `TeamTask`, and maps at a coarse scale: true ones, then what each robot's own shows to be free.
+
+        The true ones are of the building, what is explored, and what the score counts.
+        """
         facts = [coverage(memory), memory.step / self.episode_steps, memory.score / 100.0]
         truth = [memory.reachable, memory.explored, self.wanted(view, memory)]
-        maps = [_coarse(one).ravel() for one in truth]
+        maps = [coarse(one, TRUTH_WIDTH).ravel() for one in truth]
+        own = memory.belief.squares[self.agents(view.scene)] == FREE
+        maps.append(jax.vmap(partial(coarse, width=OWN_WIDTH))(own).ravel())
         return jnp.concatenate([jnp.stack(facts), *maps, true_pose_features(view)])
 
 
@@ -747,11 +753,3 @@ def _of_agents(
     # The base is no agent, and computing its goals would be as dear as a robot's.
     found = run(*(one[agents] for one in facts))
     return jax.tree.map(lambda x: jnp.zeros((robots, *x.shape[1:]), x.dtype).at[agents].set(x), found)
-
-
-def _coarse(mask: jax.Array) -> jax.Array:
-    """Return the share of a mask (i, j) in each of `TRUTH_WIDTH` times as many blocks."""
-    sides = [-(-side // TRUTH_WIDTH) for side in mask.shape]
-    missing = [(0, side * TRUTH_WIDTH - length) for side, length in zip(sides, mask.shape, strict=True)]
-    whole = jnp.pad(mask.astype(jnp.float32), missing)  # pyright: ignore[reportUnknownMemberType]
-    return whole.reshape(TRUTH_WIDTH, sides[0], TRUTH_WIDTH, sides[1]).mean((1, 3))

@@ -16,6 +16,7 @@ from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.belief import Belief
 from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, MapGrid, classify_scan
 from usarmjx.train.mapping.planning import box_sum
+from usarmjx.train.tasks.critic_features import victim_features
 from usarmjx.train.tasks.equip import VICTIM_FOV, victim_search_robot
 from usarmjx.train.tasks.goal_state import GoalState, KnownMaps, Progress
 from usarmjx.train.tasks.goal_team import GoalTeam
@@ -277,3 +278,15 @@ class SearchBase(ReportingTeam):
     def wanted(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return where victims lie that are not reported (i, j)."""
         return self.targets(view, memory)
+
+    def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """As `GoalTeam`, and victims: where they are, which are reported, and which are on whose map."""
+        marks = memory.belief.squares[self.agents(view.scene)] == MARK
+        victims = victim_features(
+            view.scene.arena,
+            jnp.asarray(view.victims.at)[:, :2],
+            victims_there(view),
+            memory.extra.achieved,
+            jax.vmap(partial(self.marked, view))(marks),
+        )
+        return jnp.concatenate([super().privileged(view, memory), victims])
