@@ -14,6 +14,9 @@ pytest.importorskip("warp", reason="needs warp-lang")
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import SLEEP_DELAY, WarpEngine
 from usarmjx.models.compile.physics import Physics
+from usarmjx.server.worlds.make import parse_roster
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
 
 SCENE = """
 <mujoco>
@@ -22,6 +25,7 @@ SCENE = """
   <worldbody>
     <geom type="plane" size="9 9 1"/>
     <geom name="victim/arm" type="sphere" size=".05" pos="0 -2.2 .1"/>
+    <body name="arena" mocap="true"><geom name="arena/0" type="box" size="3 .1 .5" pos="0 2.3 .5"/></body>
     <body name="r0/chassis" pos="-.6 0 .1"><joint name="ahead" type="slide" axis="1 0 0" damping="1"/>
       <geom type="box" size=".1 .2 .09" mass="20"/></body>
     <body name="loose/far" pos="0 2 .05"><freejoint/><geom type="box" size=".05 .05 .05" mass="1"/></body>
@@ -172,6 +176,18 @@ def test_worlds_begin_awake_and_a_reset_leaves_the_others_asleep(rested):
     start = jnp.asarray(np.tile(model.qpos0, (2, 1)), jnp.float32)
     rested.state = rested.engine.reset(rested.state, np.array([False, True]), start)
     assert rested.asleep().tolist() == [[True, True, True, True, False], [False] * 5]
+
+
+def test_objects_of_an_arena_sleep_beside_its_solids():
+    """A second after the start no contact is left but those of the wheels."""
+    physics = replace(Physics.sleeping(), solver="block")
+    scene = build_scene("yellow", parse_roster("P2AT:1"), physics)
+    batch = Batch(scene, 1, engine="warp")
+    step, state = jax.jit(batch.step), batch.reset()
+    for _ in range(SECOND):
+        state = step(state)
+    assert np.asarray(batch.engine._sleep.asleep(state.physics.userdata)).tolist() == [[True] * 4]
+    assert 4 <= int(batch.engine.solved(state.physics).contacts[0]) <= 8
 
 
 def test_nothing_sleeps_unless_it_is_asked_for():

@@ -130,7 +130,8 @@ class SleepState:
         self.geoms = np.flatnonzero(touching & np.isin(body, self.bodies))
         self._owner = np.searchsorted(self.bodies, body[self.geoms])
         limbs = [model.geom(g).name.startswith(VICTIM_PREFIX) for g in range(model.ngeom)]
-        moves = (model.body_weldid[body] != 0) & ~np.isin(body, self.bodies)
+        # The arena is a mocap body, which no welding counts as the world's; what moves has a tree of joints.
+        moves = (model.body_treeid[body] >= 0) & ~np.isin(body, self.bodies)
         self._movers = np.flatnonzero(touching & (moves | limbs))
         # Free joint of the robot that a geom belongs to; limbs and doors have none.
         roots = model.body_jntadr[model.body_rootid[body[self._movers]]]
