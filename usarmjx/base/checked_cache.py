@@ -155,6 +155,7 @@ def remove_entries_of_crashes(folder: Path, cache: Path) -> list[str]:
     """
     removed = list[str]()
     for note in (folder / LOADING_FOLDER).glob(f"{socket.gethostname()}-*"):
+        # From the end: names of hosts may have hyphens.
         number = note.name.rpartition("-")[2]
         # Processes that end orderly remove their note: one without a process is of a crash.
         if not number.isdecimal() or _is_alive(int(number)):
@@ -172,6 +173,7 @@ def remove_entries_of_crashes(folder: Path, cache: Path) -> list[str]:
 
 def _is_alive(process: int) -> bool:
     try:
+        # Signal 0 is not delivered: the system only checks for the process.
         os.kill(process, 0)
     except ProcessLookupError:
         return False
@@ -345,6 +347,7 @@ def install_cache_checks() -> None:
     """Check what this process loads from the cache that it, or its parent, has set up; else do nothing."""
     programs, warp = os.environ.get(PROGRAMS_FOLDER), os.environ.get(WARP_FOLDER)
     if programs:
+        # The folder of programs is CACHE/programs/PROCESSOR, see `enable_compilation_cache`.
         cache = Path(programs).parents[1]
         # Folders that the user has named are not ours to clean.
         own_warp = cache / "warp" if warp == str(cache / "warp") else None

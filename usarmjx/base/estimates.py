@@ -4,7 +4,7 @@ Definitions are those of Agarwal et al., "Deep reinforcement learning at the edg
 precipice" (NeurIPS 2021): interquartile mean over runs and settings, probability of improvement, performance
 profiles, percentile intervals of a bootstrap stratified by task. The paper draws runs only; the bootstrap
 draws buildings too, the same ones for all runs and settings of a task (Owen, "The pigeonhole bootstrap",
-Annals of Applied Statistics 1, 2007). With one building per table it is the paper's. Where runs and
+Annals of Applied Statistics 1, 2007). With one building per table it is the paper's. If runs and
 buildings have no effects of their own, its intervals are wider than those of crossed factors, which count
 noise once. All other intervals are those of crossed factors.
 
@@ -94,6 +94,7 @@ def even(name: str, count: int, groups: int = 1) -> Factor:
     """
     # One mean is fitted for each stratum.
     dof = count - groups
+    # Variance of a mean: sum of the squared residuals by n (n - 1).
     scale = np.full(count, 1.0 / (count * dof) if dof > 0 else np.inf)
     return Factor(name, np.full(count, 1.0 / count), np.full((count, 1), count**-0.5), scale, max(dof, 0))
 
@@ -158,7 +159,7 @@ def crossed_variance(table: np.ndarray, factors: Sequence[Factor]) -> tuple[np.n
         variance, spread = variance + signs[chosen] * part, spread + (signs[chosen] * part) ** 2 / dof
     with np.errstate(divide="ignore", invalid="ignore"):
         dof = np.where(spread > 0.0, variance**2 / spread, np.inf)
-    # Where the sum of parts comes to little, it is known from few draws, but not from less than one.
+    # A small sum of parts is known from few draws, but not from less than one.
     return np.maximum(variance, 0.0), np.maximum(dof, 1.0)
 
 
@@ -415,6 +416,7 @@ def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> np.ndar
         second: Scores of the other (..., draws).
     """
     one, other = np.asarray(first)[..., :, None], np.asarray(second)[..., None, :]
+    # Ties count half, as in Mann and Whitney's U.
     return (one > other) + 0.5 * (one == other)
 
 

@@ -76,6 +76,7 @@ def _check_header(held: zipfile.ZipFile, member: zipfile.ZipInfo, name: str, kin
     shape, _, kind = HEADERS[npy.read_magic(head)](head)
     if kind.kind not in kinds:
         raise ValueError(f"array {name[:40]!r} is of type {kind}; expected {_words(kinds)}")
+    # The reader of the header leaves the stream at the first byte of the array.
     size = math.prod(shape) * kind.itemsize + head.tell()
     if size != member.file_size:
         raise ValueError(

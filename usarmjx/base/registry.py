@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 
+# In ASCII the braces stand between z and | and between | and ~.
 _NAME = re.compile(r"[!-z|~]+")
 _VERSION = re.compile(r"(.+)-v(\d+)")
 T = TypeVar("T")

@@ -277,7 +277,7 @@ def _step(engine: str) -> Iterator[Finding]:
     from usarmjx.sim.scene import build_scene
 
     began = time.perf_counter()
-    # What MJX compiles for boxes, or for an elliptic cone, takes as long again as all the rest.
+    # The code of MJX for boxes, or for an elliptic cone, takes as long to compile as all the rest.
     physics = Physics(timestep=0.01, substeps=1, cone="pyramidal")
     batch = Batch(build_scene(_room(), [_ball()], physics), worlds=WORLDS, engine=engine)
     state = batch.reset()

@@ -113,7 +113,7 @@ def _draw_episode(
     driver: PolicyOptions, engine: str, out: Path, seconds: float | None, record: Path | None
 ) -> None:
     """Draw an episode, and record it if that is wanted."""
-    # What one world observes in one episode takes longer to compile than to compute.
+    # Observations of one world in one episode take longer to compile than to compute.
     announce("building the world that the policy drives ...", quickly=engine == "c", engines=[engine])
     from usarmjx.plots.play import check_suffix, record_episode, save_recording
 

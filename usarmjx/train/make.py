@@ -189,6 +189,7 @@ def _from_file(path: Path) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     if str(path.parent) not in sys.path:  # for modules beside it, as when Python runs the file
+        # At the end: files beside it must not hide installed modules.
         sys.path.append(str(path.parent))
     sys.modules[known] = module  # where dataclasses look for annotations
     try:

@@ -87,6 +87,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
     limbs = np.full(room(bones), limbs.max(initial=0.0)) if spare else limbs.max(0)
     return ArenaSlots(
         boxes=tuple(boxes),
+        # Parked boxes take slots, too, and must be within their bounds.
         half_lengths=np.maximum(np.array([*lengths, *limbs], np.float32), np.float32(max(PARKED_SIZE))),
         objects=tuple(
             one
@@ -290,6 +291,7 @@ def _states(
     # Unused boxes cannot be absent: all worlds share one model.
     parked = np.array([*PARKED_POS, 1.0, 0.0, 0.0, 0.0, *PARKED_SIZE])
     placed = np.array([[parked if shape is None else _box(shape) for shape in row] for row in boxed])
+    # Of no boxes NumPy makes an array with fewer axes.
     placed = placed.reshape(len(arenas), len(slots.boxes), 10).astype(np.float32)
     lie = [
         [_lie(arena.floor, k, loose) for k, loose in enumerate(row)]

@@ -193,6 +193,7 @@ def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:
         axis=(0.0, 0.0, 1.0),
         limited=True,
         range=door.limits,
+        # A polynomial of the speed, of which only the linear coefficient is wanted.
         damping=[door.friction, 0.0, 0.0],
     )
     add_geom(spec, body, f"{DOOR_PREFIX}{door.name}", door_panel(door))
@@ -292,6 +293,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
         if part.geared is not None:
             gear = spec.add_equality(name=prefix + part.name, type=mujoco.mjtEq.mjEQ_JOINT)
             gear.name1, gear.name2 = prefix + part.name, prefix + part.geared
+            # MuJoCo's polynomial of the other joint: its constant and linear coefficients.
             gear.data[:2] = part.gear_offset, part.gear_ratio
     names = [body.name for body in bodies.values()]
     # Parts may overlap at rest, as the wheels of a track do.
@@ -333,6 +335,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
         joint.limited, joint.range = True, part.limits
     if part.spring is not None:
         spring = part.spring
+        # Both are polynomials in MuJoCo, of which only the linear coefficient is wanted.
         joint.stiffness, joint.damping = [spring.stiffness, 0, 0], [spring.damping, 0, 0]
         # MuJoCo's spring exerts stiffness * (springref - position): -load at position 0.
         joint.springref = -spring.load / spring.stiffness
@@ -353,6 +356,7 @@ def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> Non
         name=joint.name + HOLD_SUFFIX, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
     )
     hold.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
+    # MuJoCo's affine gain: constant, factor of the joint's position, factor of its velocity.
     hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
     # The limit is on the joint and not on either actuator: only their sum is the servo's torque.
     joint.actfrclimited = True

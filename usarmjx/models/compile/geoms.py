@@ -153,6 +153,7 @@ def combine_inertias(parts: Sequence[Inertia]) -> Inertia:
     tensor = np.zeros((3, 3))
     for part in parts:
         arm = part.centre - centre
+        # Parallel axis theorem (Steiner).
         tensor += part.tensor + part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return Inertia(mass, centre, tensor)
 

@@ -256,6 +256,7 @@ def _inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], cent
     for body in bodies:
         axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - centre
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
+        # Parallel axis theorem (Steiner).
         total += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return total
 
@@ -293,6 +294,7 @@ def _reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray, way: n
             (up * model.geom_size).sum(-1),
             radius,
             radius + length * up[:, 2],
+            # Support function of an ellipsoid: length of the direction, scaled by the half axes.
             np.sqrt(((up * model.geom_size) ** 2).sum(-1)),
         ],
         np.where(

@@ -82,6 +82,7 @@ def _link_parts(package: MissionPackage) -> list[Part]:
                 axis=_vector(frames[link.number][1][:, 2]),
                 joint="hinge" if link.joint == "Revolute" else "slide",
                 motor=link_motor(link),
+                # A lower limit above the upper one stands for none, as in CONF on the wire.
                 limits=None if link.min_range > link.max_range else (link.min_range, link.max_range),
                 shapes=link.shapes,
                 looks=link.looks,

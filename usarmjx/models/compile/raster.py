@@ -127,6 +127,7 @@ def _boxes(shapes: Sequence[Shape], grid: Grid) -> SpanRows:
     mat = mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])
     normals = np.concatenate([mat.swapaxes(-1, -2), -mat.swapaxes(-1, -2)], axis=1)
     offsets = (normals * mid[:, None]).sum(-1) + np.concatenate([half, half], axis=1)
+    # Half lengths of the upright boxes around turned ones.
     reach = (np.abs(mat) * half[:, None]).sum(-1)
     return _rows(normals, offsets, mid[:, :2] - reach[:, :2], mid[:, :2] + reach[:, :2], grid)
 

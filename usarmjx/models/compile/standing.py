@@ -79,6 +79,7 @@ def stance_of(robot: RobotSpec) -> Stance:
         # Settled by the physics instead of computed: contacts, springs and servos all give way at once.
         rest = _settled(model, index, GROUND.floor + clearance)
         height, tilt = float(rest[2]) - GROUND.floor, _without_yaw(rest[3:7])
+        # Of small tilts the vector part of a quaternion is half the angle.
         if abs(height - clearance) < MAX_SINKING and 2 * math.hypot(*tilt[1:3]) < MAX_TILT:
             joints = _without_wheels(robot, rest[7:])
             solid = np.isin(model.geom_bodyid, index.body_ids)

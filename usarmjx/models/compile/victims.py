@@ -40,6 +40,7 @@ MAX_SEGMENTS = 8
 PARKED_COORDINATE = 1e6
 """Coordinate along each axis of padding boxes, out of reach [m]."""
 
+# False alarms have the owners -1, -2 and so on: this is far beyond them.
 PADDING_OWNER = -(1 << 20)
 """Owner of a padding box."""
 

@@ -198,6 +198,7 @@ class Client:
         except UsageError as error:
             self.session.note_refusal(_in_wire_axes(error))
             return False
+        # GEO and CONF of later versions quote the class: in its own spelling, not in that of the INIT.
         self.session.robot_class = told_class(init.class_name, spec.name)
         self.attach_robot(robot, robot.spawn_time)
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
@@ -443,6 +444,7 @@ class Client:
             camera = robot.camera_index(name)
             if camera is None:
                 self.session.add_fault(f"{robot.spec.name} has no camera {clip(name)}")
+                # A name that is no word cannot stand in the answer.
                 unknown += [name] if is_name(name) else []
             elif fov is None:
                 self.session.add_fault(f"camera {clip(name)}: its FOV is no number")

@@ -61,6 +61,7 @@ class BudgetPool:
         self.clock, self.growth, self.steps = clock, CLIENT_SHARE * period, 0
         self.meter: LoopMeter | None = None
         self._joins, self._share_beside_joins = joins, min(share, SHARE_BESIDE_JOINS) * period
+        # From here on in seconds for each control step.
         self._share = self._left = share * period
         self._waiting: dict[ClientBudget, asyncio.Future[None]] = {}
 

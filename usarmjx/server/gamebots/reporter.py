@@ -44,6 +44,7 @@ def first_report_time(robot: Robot, others: Iterable[Robot], since: float, perio
         team = sum(other.spec is robot.spec for other in together)
         return team if team < MAX_TEAM else 0, -len(together)
 
+    # `max` keeps the first of equal times, and that is the end of the msgTimer.
     return max((since + timer - step * period for step in range(max(1, round(timer / period)))), key=merit)
 
 

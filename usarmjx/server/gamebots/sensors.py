@@ -191,6 +191,7 @@ def _tachometer(sensor: Sensor, value: np.ndarray, time: float | None) -> Messag
 def _ahrs(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     (ahead, left, up), *rest = value.reshape(4, 3).tolist()
     rates, changes, angles = (flip_wire_angles(one) for one in rest)
+    # Only this vector points upward on the wire (IMU.uc).
     return reports.sen_ahrs(time, sensor.mounts[0].name, (ahead, -left, up), rates, changes, angles)
 
 

@@ -332,6 +332,7 @@ class BotServer:
         """Return whether another client fits; if need be the longest connected one without a robot yields."""
         if len(self._connections) < self.settings.max_connections:
             return True
+        # A timeout of 0 makes nobody yield: no client has connected before minus infinity.
         latest = time.monotonic() - (self.settings.init_timeout or math.inf)
         idle = [
             connection
@@ -383,6 +384,7 @@ class BotServer:
             robot = guest.robot
             if robot is None or guest.lost or (robot.name.lower(), robot.spec) != (init.name.lower(), spec):
                 continue
+            # A guest that still had the robot would take it along when it leaves.
             guest.robot, robot.controller = None, None
             client.attach_robot(robot, self.world.time)
             return True

@@ -59,10 +59,12 @@ def set_path(world: ServedWorld, index: int, command: Control) -> None:
     """
     options, name = command.path, _key(world, index)
     before = world.motions.get(name, ObjectMotion())
+    # A copy: an error below must leave the object's motion as it was.
     motion = replace(before, loops=before.loops if options.loop is None else options.loop)
     if options.points:
         motion = replace(motion, points=_points(world, options), progress=0.0)
     else:
+        # A path that is no longer closed is shorter by its last leg, on which the object may be.
         motion.progress = min(motion.progress, motion.length)
     for field in ("move", "reset"):
         given = getattr(options, field)

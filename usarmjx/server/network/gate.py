@@ -45,6 +45,7 @@ class Gate:
         self, rules: AccessRules, room: int, name: str, now: Callable[[], float] = time.monotonic
     ) -> None:
         self.rules, self._room = rules, room
+        # A quarter of the connections stays for other addresses.
         self._limit = -(-3 * room // 4) if rules.per_address is None else rules.per_address
         self._name, self._lines = name, LineLimit(1, LOG_INTERVAL, now)
         self._counts: Counter[IPAddress] = Counter()

@@ -109,6 +109,7 @@ def _project_pinhole(
     viewpoint: Viewpoint, along: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Project points in the eye's axes through a pinhole; see `_project`."""
+    # The field of view is that of the width.
     focal = width / 2 / math.tan(viewpoint.fov / 2)
     away = along[:, 0]
     # Points behind the eye have a negative depth; they are left out later, and must not divide by 0 here.
@@ -279,6 +280,7 @@ class RenderThread:
 
     async def render(self, views: Collection[CompositeView], make: Callable[[ViewImages], Made]) -> Made:
         """Render views as they are now and return the result of `make`, both computed in the thread."""
+        # A picture that several views show is rendered once.
         requests = list(dict.fromkeys(request for view in views for request, _, _ in view.tiles))
         job = _make, snapshot(self._world, requests), requests, set(views), make
         began = time.monotonic()

@@ -108,6 +108,7 @@ def _understand_udk(message: Message) -> Message:
             (key, opcode if opcode and key.lower() == "opcode" else value) for key, value in message.segments
         )
         return replace(message, segments=tuple(renamed))
+    # Normalized values are percent in both dialects.
     if message.kind == "DRIVE" and not to_bool(message.get("Normalized")):
         return replace(message, segments=tuple(map(_turn_in_radians, message.segments)))
     return message
@@ -164,6 +165,7 @@ def _typed(segments: Iterable[Segment]) -> Iterator[Segment]:
 
 def _named(segments: tuple[Segment, ...], robot_class: str) -> Iterator[Segment]:
     """Name a robot by the class that its INIT named; an echo of what is not there keeps its name."""
+    # An echo of what is not there has no more than type and name.
     is_there = len(segments) > 2
     for key, value in segments:
         yield (key, robot_class if key == "Name" and is_there and robot_class else value)

@@ -18,7 +18,6 @@ from usarmjx.base.registry import is_name
 Vector: TypeAlias = tuple[float, float, float]
 Segment: TypeAlias = tuple[str, str]
 
-# The longest line that a known client can send is a few hundred bytes, and the largest line buffer
 DEFAULT_LIMIT = 8192
 """Longest line [bytes].
 

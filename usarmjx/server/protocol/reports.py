@@ -166,6 +166,7 @@ def _precise(time: float | None) -> str | None:
 def sen_range(kind: str, time: float | None, readings: Iterable[tuple[str, float]]) -> Message:
     """Return all range sensors of one kind ("Sonar", "IR") in one line: (name, range [m])."""
     names, values = zip(*readings, strict=True)
+    # One call for all ranges takes less time than one for each.
     texts = four_decimals_list(values).split(",")
     items = [("Name", f"{check_word(name)} Range {text}") for name, text in zip(names, texts, strict=True)]
     return _sen(_precise(time), kind, *items)

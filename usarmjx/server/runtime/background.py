@@ -146,6 +146,7 @@ def serve(
     """
     if not instances:
         raise UsageError("instances is empty: name at least one world, as instances=(0,)")
+    # An arena becomes as many worlds as are named, so only negative numbers are wrong.
     check_instances(instances, what.worlds if isinstance(what, Batch) else max(instances) + 1)
     with contextlib.ExitStack() as held:
         bound = held.enter_context(bound_ports(host, count_up({"port": port}, len(instances))))

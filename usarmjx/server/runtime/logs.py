@@ -176,6 +176,7 @@ def keep_log() -> LogTail:
     if shown > tail.level:
         # The logger must pass INFO to the tail: the error stream's handlers filter by the former level.
         for handler in logging.getLogger().handlers:
+            # Exactly this class: handlers of files are StreamHandlers, too, and keep their levels.
             if type(handler) is logging.StreamHandler:
                 handler.setLevel(max(handler.level, shown))
         package.setLevel(tail.level)

@@ -68,6 +68,7 @@ class StepMeter:
         self.gap_sum = 0.0
         self._last = self._next_sample = 0.0
         self._seen: float | None = None
+        # One more than intervals: the first sample is the beginning of the window.
         self._samples: deque[tuple[float, float]] = deque(maxlen=round(WINDOW / SAMPLE) + 1)
 
     async def start(self) -> list[str]:

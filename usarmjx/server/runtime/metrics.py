@@ -127,6 +127,7 @@ class WorldCollector(Collector):
         for world, meter in self._meters.items():
             for command, count in meter.server.counts.commands.items():
                 commands.add_metric([world, command.__name__], count)
+            # A bucket of Prometheus counts all values up to its bound, those of the smaller buckets too.
             gaps.add_metric([world], list(zip(bounds, accumulate(meter.gaps), strict=True)), meter.gap_sum)
         yield commands
         yield gaps

@@ -157,6 +157,7 @@ class StopSignals:
     def _watch(self, heard: socket.socket) -> None:
         """Wait for a signal, whose number Python writes into the socket; then end the process."""
         with heard:
+            # Python writes every signal with a handler into the socket, not only these.
             while self.number not in self._numbers:
                 data = heard.recv(1)
                 if not data:
@@ -166,6 +167,7 @@ class StopSignals:
             stop = self._stop
             if stop is not None:
                 stop()
+            # An orderly end takes this daemon thread along before the sleep is over.
             time.sleep(END_TIME)
             if self._finish is not None:
                 finishing = threading.Thread(target=self._finish, daemon=True)

@@ -307,6 +307,7 @@ class ComServer:
         return name in self._seen and not self._radio.has_robot(name)
 
     def _is_full(self, ask: Open) -> bool:
+        # A link counts at both of its ends, hence twice the number of links in the total.
         busiest = max(self._links[ask.name], self._links[ask.host])
         return busiest >= MAX_LINKS_PER_ROBOT or self._links.total() >= 2 * MAX_LINKS
 

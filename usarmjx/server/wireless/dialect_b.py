@@ -340,6 +340,7 @@ class DialectBSession:
         ports = tuple(port for port in listed_ports if port)  # 0: a robot that only calls others
         name = _name(values)
         if self._board.has(name):
+            # Misspelt in the stand-alone server: clients may compare the text.
             raise _Error("Robot.Alread.Exists")
         self._board.join(name, self._address, ports)
         self.name = name

@@ -65,6 +65,7 @@ class Throttle:
 
     async def __aenter__(self) -> None:
         """Wait for the turn."""
+        # asyncio's lock wakes its waiters in the order of their arrival.
         await self._lock.acquire()
         try:
             while self._owed > BURST:

@@ -396,6 +396,7 @@ class BatchWorld(ServedWorld):
         """Carry out a SET command on an effecter, by the batch's own program."""
         group, member = self.scene.group_of(robot.slot)
         at = (self._instance, member)
+        # A mask over all robots of the group: the batch's program has the same shapes for each of them.
         where = np.zeros(self._state.worlds.groups[group].active.shape, bool)
         where[at] = True
         name = robot.effecters[effecter].mount.name

@@ -46,6 +46,7 @@ class ObjectMotion:
     @property
     def _segments(self) -> np.ndarray:
         """Vectors from each point to the next one on the path [m] (segments, 3)."""
+        # The last of them leads back to the first point, and closes the path.
         following = np.roll(self.points, -1, axis=0) - self.points
         return following if self.loops else following[:-1]
 

@@ -410,6 +410,7 @@ class PolicyBatch(SharedBatch):
             task=task,
             policy=before.policy,
             length=jnp.where(began, 0, before.length + 1),
+            # Before the first episode the memory is blank, and so its score means nothing.
             score=jnp.where(before.episode < 0, 0.0, result.score),
             episode=episode,
         )
@@ -424,6 +425,7 @@ class PolicyBatch(SharedBatch):
         super()._step()
         if self.steps % self.env.task.repeat == 0:
             episodes = np.asarray(self.state.worlds.episode)
+            # The batch resets a world that went bad by itself: there the task begins anew.
             again, self._episodes = episodes != self._episodes, episodes
             self._act_on(self._views(), again)
 
@@ -610,6 +612,7 @@ class PolicyWorld(BatchWorld):
         if group.robot.name != robot.name or slot in self.robots:
             what = "taken" if slot in self.robots else f"a {group.robot.name}, not a {robot.name}"
             raise UsageError(f"{name} is {what}")
+        # With an idle command: that of the policy would go on until the client drives.
         new = self.robots[slot] = self._robot(slot, name)
         self.set_command(new, new.command)
         return new

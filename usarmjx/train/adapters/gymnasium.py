@@ -246,7 +246,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     reward is their mean; `each` makes each robot of each world an environment of its own (world by world),
     and needs robots of one class. If worlds have one robot, both are the same.
 
-    Where a world is reset in the step that ends its episode (`AutoresetMode.SAME_STEP`), observations are
+    If a world is reset in the step that ends its episode (`AutoresetMode.SAME_STEP`), observations are
     those of the next start, and `final_obs` and `final_info` of the infos have the end, as Gymnasium's own
     vector environments give them. With `AutoresetMode.NEXT_STEP` they are those of the end, and the step
     after gives those of the next start: it leaves the world as it is, whatever the action, and is worth 0.

@@ -48,8 +48,8 @@ class MultiAgentWorld(MultiAgentEnv):
 
     Infos have a row for each agent, as JaxMARL's wrappers and baselines expect: the task's metrics, its
     `score`, `truncated`, and `bad`: whether physics failed or a number of the task was not finite, which is
-    truncated, too. What agents observed at an episode's end is `state.final_obs`. `world_state` is what
-    MAPPO's critics may know.
+    truncated, too. The last observations of an episode are `state.final_obs`. `world_state` is what MAPPO's
+    critics may know.
 
     Args:
         env: The environment.

@@ -22,7 +22,7 @@ class BaselinesWorlds(VecEnv):
     """An environment as a VecEnv of Stable-Baselines3; agents are as in `VectorWorlds`.
 
     Infos are a dictionary for each agent: the task's metrics, `score`, and `bad`, whether physics failed or a
-    number of the task was not finite. Where an episode ended they have `terminal_observation`, and
+    number of the task was not finite. At an episode's end they have `terminal_observation`, and
     `TimeLimit.truncated` where its time was up or the step was a fault, then also `fault`.
 
     Args:

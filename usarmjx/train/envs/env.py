@@ -179,8 +179,10 @@ def evaluate_step(
         memory=result.memory,
         obs=obs,
         privileged=privileged,
+        # By the agents alive before the step: one that has just died gets the reward of its last step.
         reward=tuple(jnp.where(bad[:, None], 0.0, reward) for reward in masked(state.alive, result.reward)),
         done=done,
+        # With `end` the time limit is part of the task: the state at it has no further value.
         truncated=late & ~terminated & ~bad & (task.time_limit == "truncation"),
         final_obs=obs,
         final_privileged=privileged,
@@ -509,9 +511,11 @@ class Env:
     def _begin(self, blank: EnvState) -> EnvState:
         """Begin the first episodes."""
         if not self.traceable:
+            # Not in the compiled `_blank`: such an engine keeps its state on the host.
             blank = blank.replace(batch=blank.batch.replace(physics=self.batch.engine.start()))
         state = self._restart(blank, blank.done)
         return state.replace(
+            # False again: it had marked all worlds for the restart.
             done=state.bad,
             final_obs=state.obs,
             final_privileged=state.privileged,

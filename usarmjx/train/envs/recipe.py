@@ -160,7 +160,9 @@ class GeneratedArenas:
     def of_split(self, split: str) -> "GeneratedArenas":
         """Return the same arenas of a split, in the number that the split is evaluated on."""
         wanted = SPLITS.get(split).arenas
+        # Rounded up: all levels have the same number of arenas.
         count = -(-wanted // len(self.levels)) if wanted else self.count
+        # Scores are compared on the same arenas, which nothing may replace.
         return replace(self, split=split, count=count, renewable=False)
 
     @property

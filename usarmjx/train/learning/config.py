@@ -71,7 +71,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "soccer-v1": {**MAZE_SETTINGS, "total_steps": 20_000_000},
     "soccer-v2": {
         **MAZE_SETTINGS,
-        # Less than the task's own discount of 1: who discounts by the same gets nothing out of the gains.
+        # Less than the task's own discount of 1: a learner with the same one gets nothing out of the gains.
         **{"gamma": 0.99, "gae_lambda": 0.95, "league": 8},
         **{"imitation_steps": 2_000_000, "total_steps": 20_000_000},
     },
@@ -381,6 +381,7 @@ def wheel_settings(task: str, *, discrete: bool) -> dict[str, Any]:
 
 def _discounts(usual: Config, more: int) -> dict[str, float]:
     """Return gamma and lambda of actions, as many of which together discount as a usual one."""
+    # The root: as many factors multiply to the usual one.
     return {name: round(getattr(usual, name) ** (1 / more), 6) for name in ("gamma", "gae_lambda")}
 
 

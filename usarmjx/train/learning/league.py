@@ -221,6 +221,7 @@ class Rivals:
             game = over & (opponent == player)
             if player < league.size:  # a place that was taken during the game had two players
                 game &= length <= (now - league.since[player]) * steps
+            # A score above 0 is a victory of the policy's team, 0 a draw.
             for name, one in zip(RESULTS, (game, game & (score > 0), game & (score < 0)), strict=True):
                 rows[f"league/{name}/{player}"] = one
         return rows

@@ -181,6 +181,7 @@ class Trainer:
         )
         self.inspect: Inspector | None = None
         self.rollout = self._make_rollout(process_group.index * share, teacher)
+        # Trajectories have steps first and worlds second, ends have worlds first.
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
         self._begin = train_state_maker(self.networks, config, self._program_cache)
         self._everywhere = jax.shard_map(

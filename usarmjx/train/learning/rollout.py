@@ -422,6 +422,7 @@ class Rollout:
 
         An episode that ends within them ends the action; what follows of the next one is not rewarded.
         """
+        # Outside the loop, whose carry must have the types of a result from the beginning.
         after = self.env.step(before, actions)
 
         def again(_: Any, now: EnvState) -> EnvState:  # noqa: ANN401 - a number

@@ -196,6 +196,7 @@ def compose_messages(belief: Belief, to: Array, flyers: np.ndarray | None = None
     if flyers is not None:
         belief = belief.replace(evidence=jnp.where(flyers[:, None, None], 0, belief.evidence))
     payload = jnp.concatenate([header, jax.vmap(maps.pack)(belief.squares)], -1)
+    # A number of single precision takes 4 bytes.
     length = jnp.full(len(header), 4 * payload.shape[-1], jnp.int32)
     return OutgoingMessages(receivers=to, payload=payload, size_bytes=length)
 
@@ -254,7 +255,7 @@ def _read_headers(
     # One and a half periods: one message may be late by rounding, none may be missing.
     broken = last((same | (place[:, None] == place)) & (time - until_then > 1.5 * period))
     begun = jnp.where(broken < 0, since[sender], time[broken])
-    # What it had from this robot by its contact is at the base: a message takes a period.
+    # All that it had from this robot by its contact is at the base: a message takes a period.
     passed_on = jnp.minimum(told[:, HEADER_SIZE - 1] - period, until_then)
     # The margin is of single precision: times of some thousand seconds are exact to a tenth of that.
     known = jnp.where(there & (passed_on >= begun - 1e-3), passed_on, -jnp.inf)

@@ -56,7 +56,7 @@ def _sweeps(start: jax.Array, enter: jax.Array, until: jax.Array) -> jax.Array:
         for axis in range(2):
             for back in (False, True):
                 far = _sweep(far, enter, axis, back=back)
-        # What is farther than the square that is asked for lies on no way from there.
+        # Squares farther than the one that is asked for lie on no way from there.
         asked = jnp.where(until[0] < 0, jnp.inf, far[until[0], until[1], which])
         return far, ((far < before) & (far <= asked)).any()
 

@@ -213,12 +213,14 @@ def merge_packed(received: Array, numbers: Array, there: Array) -> jax.Array:
         numbers: The others, as `pack` returns them (maps, numbers).
         there: Which of them count (maps,).
     """
+    # A message that is not there says unknown of all squares, which is 0.
     whole = jnp.where(there[:, None], numbers, 0.0).astype(jnp.int32)
     joined = _joined(jnp.bitwise_or.reduce(whole, axis=0), jnp.bitwise_or.reduce(packed_marks(whole), axis=0))
     rows, columns = received.shape
     return merge_received(received, unpack(joined, (rows, columns)))
 
 
+# The sum of the first powers of 4, in binary 0101...01.
 LOWER_BITS = np.int32((4**SQUARES_PER_NUMBER - 1) // 3)
 """The lower bit of each square of a number."""
 
@@ -245,6 +247,7 @@ def merge_numbers(one: Array, other: Array) -> jax.Array:
 
 def _joined(some: Array, marked: Array) -> jax.Array:
     """Return packed maps from the union of their bits, and the lower bits of their marks."""
+    # Free squares and marks have the lower bit, walls and marks the upper one: so free goes before wall.
     free = packed_free(some)
     walls = (some >> 1) & LOWER_BITS & ~free
     return jnp.asarray(free | ((marked | walls) << 1))

@@ -114,7 +114,7 @@ def path_on_jax(far: Array, square: Array, steps: int) -> jax.Array:
         there = here + moves
         heights = padded[there[:, 0] + 1, there[:, 1] + 1] + costs
         best = jnp.argmin(heights)
-        # Where a way begins its cost is its own; elsewhere it is that of a neighbour, the step and the toll.
+        # The cost of a start is its own; elsewhere it is that of a neighbour, the step and the toll.
         lower = heights[best] <= padded[here[0] + 1, here[1] + 1] + 1e-3
         here = jnp.where(lower, there[best], here)
         return here, here

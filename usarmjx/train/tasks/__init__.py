@@ -3,7 +3,7 @@
 `drive_to_goal` is the smallest. `team` is the base of `explore`, `victim_search` and `relay_chain`,
 `goal_team` of their third versions; a bare name, as `explore`, is that of the newest version; soccer is
 in four modules: field, belief, baseline, task. A task is a frozen dataclass: its fields are what `make`
-and `--set` override, so their names stay. What it observes, rewards and scores stands in its docstring and in
+and `--set` override, so their names stay. Its observations, rewards and scores are in its docstring and in
 docs/tasks.md; figures there hold for exactly these functions.
 """
 

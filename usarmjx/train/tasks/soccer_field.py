@@ -48,7 +48,7 @@ COVER = (0.03, 0.3)
 """Its lower and upper edge above the ground: as high as the boards [m] (chosen)."""
 LOWER_SCANNER_HEIGHT, UPPER_SCANNER_HEIGHT = 0.11, 0.26
 """Heights of the two scanners [m]: that of the ball's middle, and above the ball but not above boards and
-robots. What only the lower one meets is the ball."""
+robots. An echo of the lower one alone is the ball."""
 SCANNER_RANGE, FOV, RESOLUTION, BEAMS = 4.0, 4.189, 3 * 0.0184087, 76
 """Every third beam of a Hokuyo URG-04LX, as `equip.HOKUYO`, but ten times a second [m], [rad]. A ball 4 m
 away is as wide as the angle between two beams."""

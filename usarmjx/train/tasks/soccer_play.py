@@ -87,7 +87,7 @@ def soccer_action(seen: jax.Array) -> jax.Array:
     # Equal distances go to the robot of number 0, so that one of both always attacks.
     first = known & (~heard | (mine < its) | ((mine == its) & (number < 0.5)))
     attack, pushes = _shot(turn.T @ push, position - ball, push)
-    # Who does not know where the ball is goes to the middle or its own goal, and looks around.
+    # A robot that does not know where the ball is goes to the middle or its own goal, and looks around.
     post = jnp.where(known, _between(ball), jnp.where(number < 0.5, 0.0 * KEEPER_POSITION, KEEPER_POSITION))
     way = jnp.where(first, _round_ball(position, ball, push), post) - position
     there = ~first & (jnp.linalg.norm(way) < ARRIVED_DISTANCE)

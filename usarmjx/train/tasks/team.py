@@ -382,7 +382,7 @@ class TeamTask(Task):
         """Return values of all slots (robots, ...) per group."""
         return tuple(values[scene.groups[group].slots] for group in self.agent_groups(scene))
 
-    # What the robots believe.
+    # Beliefs of the robots.
 
     def maps(self, scene: Scene, memory: TeamMemory) -> TeamMaps:
         """Return the robots' maps."""
@@ -510,7 +510,7 @@ class TeamTask(Task):
         sides = {"Left": action[:, 0] - action[:, 1], "Right": action[:, 0] + action[:, 1]}
         return {key: jnp.clip(value, -1.0, 1.0) * full[key] for key, value in sides.items()}
 
-    # What is evaluated.
+    # Evaluation.
 
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is known but what the first scans show."""
@@ -614,7 +614,7 @@ class TeamTask(Task):
             "unlinked": memory.unlinked / steps,
         }
 
-    # What the agents observe.
+    # Observations of the agents.
 
     def observe(self, view: TaskView, memory: TeamMemory) -> tuple[jax.Array, ...]:
         """See `TeamTask`."""

@@ -282,7 +282,7 @@ class VictimSearch(TeamTask):
         team = drawn_team(view.scene, agents, self.least_robots, team_key(view.world))
         return linked[agents].sum() / jnp.maximum(team[agents].sum(), 1)
 
-    # What the robots believe.
+    # Beliefs of the robots.
 
     def first_belief(self, view: TaskView) -> Belief:
         """As `TeamTask`; beyond the fence all is wall for robots that fly."""
@@ -330,7 +330,7 @@ class VictimSearch(TeamTask):
         wanted = jnp.where(home[:, None, None], jnp.minimum(doorstep, ends), jnp.nan)
         return planning.plan_paths(grid, belief, view.time, self.planner_settings(scene), wanted)
 
-    # What they are commanded.
+    # Their commands.
 
     def act(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """As `TeamTask`; flippers are held up."""
@@ -367,7 +367,7 @@ class VictimSearch(TeamTask):
             "RotationalVelocity": jnp.where(low, 0.0, -TURN_RATE * action[:, 1]),
         }
 
-    # What is evaluated.
+    # Evaluation.
 
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
         """Nothing is reported."""
@@ -461,7 +461,7 @@ class VictimSearch(TeamTask):
             linked=linked,
         )
 
-    # What the agents observe.
+    # Observations of the agents.
 
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `TeamTask`, and the way home, the last contact with it, and whether there is news for it."""
