@@ -97,6 +97,7 @@ class GroupRunner:
         library = list(dict.fromkeys(spec for cell in cells for spec in cell.arenas or ()))
         self._places: dict[ArenaSpec, int] = {spec: place for place, spec in enumerate(library)}
         task = cells[0].task
+        # The arenas of all cells, so that those of a cell are data.
         task = replace(task, arena=tuple(library)) if library else task
         self.env = build_env(
             task, size * self._episodes, name=cells[0].settings["task"], engine=engine, seed=seed

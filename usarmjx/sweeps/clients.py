@@ -118,6 +118,7 @@ def play_client(cell: Resolved, driver: CellDriver, engine: str) -> CellEpisodes
         ports = [int(own["--port"].getsockname()[1]) for own in bound]
         for world in worlds:
             world.warm_up()
+        # The server prints its addresses, and the output is for results.
         with contextlib.redirect_stdout(sys.stderr):
             asyncio.run(_serve(servers, shared, driver, ports))
     return CellEpisodes(
@@ -133,6 +134,7 @@ async def _serve(
 ) -> None:
     """Serve until the episodes are over."""
     clock = StepClock(driver.speed)
+    # `_until_over` lets it go on when all clients are there.
     clock.pause(True)
     loop = ServerLoop(servers, clock)
     running = asyncio.ensure_future(loop.run())

@@ -70,6 +70,7 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: KnownDig
         UsageError: See `resolve`.
     """
     cell = resolve(settings) if cell is None else cell
+    # The name of a method groups results, and changes none of them.
     own = rename_tasks({name: value for name, value in settings.items() if name != "method"}, key_name)
     own["policy"] = rename_policy(own["policy"], KEY_POLICIES)
     contents = cell_contents(cell, KnownDigests() if known is None else known)

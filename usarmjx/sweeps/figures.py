@@ -218,6 +218,7 @@ def _profile_panel(panel: Axes, found: StoredSweep, task: str, policies: Sequenc
     everything = np.concatenate([*scores.values()])
     if not len(everything):
         return
+    # Scores that are all 0 need an axis of some length, too.
     low, high = min(0.0, float(everything.min())), max(float(everything.max()), 1e-9)
     thresholds = np.asarray(np.linspace(low, high, THRESHOLDS), float)
     told = False

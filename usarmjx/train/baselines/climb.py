@@ -43,6 +43,7 @@ def climb_policy(env: Env) -> Policy:
     if not isinstance(task, Stairs):
         raise UsageError(f"this policy climbs stairs, not {env.name}")
     robot, size = env.scene.groups[0].robot, env.groups[0].action_size
+    # No faster than 0.6 m/s.
     pace, taper = min(1.0, 0.6 / robot.drive.top_speed), 0.0
     tip = [part for part in robot.parts if part.parent == "FRFlipper"]
     if tip:

@@ -221,6 +221,7 @@ def roam_action(
     """
     points = obstacles(obs, robot, kinds)
     lengths = free_distances(points, robot)
+    # Straight ahead; a constant index, which needs no gather.
     front = lengths[int(np.argmin(np.abs(ANGLES)))]
     left, right = (_beside(points, robot, side) for side in (1.0, -1.0))
     reach = jnp.minimum(lengths, 3.0)

@@ -99,6 +99,7 @@ def with_given_messages(task: GoalTeam, goals: Policy) -> Policy:
 
     def joined(seen: jax.Array, goal: jax.Array) -> jax.Array:
         given = messages.given_option(seen[..., -options:], base_first=task.sends_to_base_first)
+        # An action of choices is 1 at the choice and 0 elsewhere.
         both = jnp.concatenate([goal, jnp.eye(options)[given]], -1)
         # Only one of the two is to be chosen now, and silence is an option whenever messages are.
         sends = seen[..., -options, None] > 0.5

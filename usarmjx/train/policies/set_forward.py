@@ -218,6 +218,7 @@ class NumpyOperations:
     def halved(self, x: np.ndarray, layer: Weights) -> np.ndarray:
         """See `Operations`."""
         kernel, (rows, columns) = layer["kernel"], x.shape[-3:-1]
+        # A convolution as a sum of nine matrix products: NumPy has none over two axes.
         padded = np.pad(x, [*[(0, 0)] * (x.ndim - 3), (1, 1), (1, 1), (0, 0)])
         parts = [
             padded[..., i : i + rows : 2, j : j + columns : 2, :] @ kernel[i, j]

@@ -326,6 +326,7 @@ class PolicySource:
         Of a split that is one in each; of the task's own as many as make about `EPISODES` together.
         """
         there = self.count_arenas(settings, split)
+        # A whole number of episodes in each arena: none counts more than the others.
         usual = there if split is not None else there * round(EPISODES / max(there, 1))
         episodes = episodes or usual or EPISODES
         return min(worlds or there or WORLDS, episodes), episodes
