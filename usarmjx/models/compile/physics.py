@@ -21,6 +21,9 @@ SOLVERS = {
 """MuJoCo's constraint solvers by name; `block` is our own of engine `warp`, and Newton elsewhere. `auto` is
 `block` on engine `warp` with a GPU, and CG elsewhere."""
 
+SLEEP_TOLERANCE = 0.005
+"""Speed below which a loose object sleeps, in settings by name [m/s]."""
+
 
 @dataclass(frozen=True)
 class Physics:
@@ -82,10 +85,12 @@ class Physics:
     def fast(cls) -> "Physics":
         """Return settings for training and sweeps: several times as fast, and less exact.
 
+        On `warp`, loose objects sleep as with `sleeping`.
+
         docs/evidence/physics-settings.md has the search for them, and docs/evidence/speed.md the behaviour of
         every robot class under them.
         """
-        return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
+        return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5, sleep_tolerance=SLEEP_TOLERANCE)
 
     @classmethod
     def coarse(cls) -> "Physics":
@@ -95,7 +100,7 @@ class Physics:
     @classmethod
     def sleeping(cls) -> "Physics":
         """Return the reference settings, except that untouched loose objects sleep on `warp`."""
-        return cls(sleep_tolerance=0.005)
+        return cls(sleep_tolerance=SLEEP_TOLERANCE)
 
 
 PHYSICS: Registry[Physics] = Registry("physics")
