@@ -132,6 +132,7 @@ class SensorInput(Node, kw_only=True):
 
     def of(self, robots: Array | int) -> "SensorInput":
         """Select one robot, or the masked ones (robots,), from the inputs of several."""
+        # The other fields are the world's, one for all robots.
         own = {name: getattr(self, name) for name in ROBOT_FIELDS}
         return self.replace(**jax.tree.map(lambda x: x[robots], own))
 
@@ -375,6 +376,7 @@ class Sensor(ABC):
     @cached_property
     def _mounts_on_bodies(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bodies of the mounts (mounts,), positions (mounts, 3) and orientations on them (mounts, 3, 3)."""
+        # Descriptions of robots keep USARSim's axes, so that they can be compared with the manual's tables.
         at = np.array([flip_vector(mount.at) for mount in self.mounts], np.float32)
         angles = np.array([flip_angles(mount.direction) for mount in self.mounts], np.float32)
         return self.bodies_of_mounts(), at, mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])

@@ -114,6 +114,7 @@ def reference_location(location: Options) -> tuple[float, float]:
 
 
 def _degrees(degree: float, minute: float) -> float:
+    # By the degree's sign alone, as GPSSensor.uc does: its default has -77 degrees and -12.998 minutes.
     return degree - abs(minute) / 60 if degree < 0 else degree + minute / 60
 
 

@@ -24,6 +24,7 @@ REST_FORCE = np.array([0.0, 0.0, GRAVITY], np.float32)
 """Specific force of a body at rest, world axes [m/s2]."""
 FIRST_INTERVAL = 0.02
 """Assumed duration of the first measurement: a control step [s]."""
+# A little more than the exact limits, since files round them up to 1.5708 and 3.1416.
 QUARTER_TURN_LIMITS = Setting(ge=-math.pi / 2 - 1e-5, le=math.pi / 2 + 1e-5)
 HALF_TURN_LIMITS = Setting(ge=-math.pi - 1e-5, le=math.pi + 1e-5)
 

@@ -152,7 +152,10 @@ class Odometry(Sensor):
         advance = (left + right) / 2
         turned = heading + (right - left) / self._separation
         return xp.stack(
-            [x + advance * xp.cos(heading), y + advance * xp.sin(heading), wrap_angle(turned)], -1
+            # Along the old heading, not the mean of old and new: the estimate drifts in turns, as
+            # simple dead reckoning does.
+            [x + advance * xp.cos(heading), y + advance * xp.sin(heading), wrap_angle(turned)],
+            -1,
         )
 
     def handle_set(
@@ -335,6 +338,7 @@ class Encoder(Sensor):
         """Divide the angle by the resolution, noise first (manual 10.7.1)."""
         angles = self._angles(inputs) - memory
         resolution = np.array([settings.resolution for settings in self.settings], np.float32)
+        # Towards zero, so that a turn back gives the same count with the other sign.
         return memory, xp.trunc(noisy(key, angles, self.settings) / resolution)
 
     def handle_set(

@@ -90,6 +90,7 @@ def selection_kernel(held: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
     # XLA finds the kernel by this name.
     select_nearest.__qualname__ = f"select_nearest_of_{held * LANES}"
     kernel: Any = wp.kernel
+    # A module of its own: each size compiles only its own kernel, and only when it is first needed.
     return kernel(select_nearest, enable_backward=False, grid_stride=False, module="unique")
 
 
@@ -106,7 +107,12 @@ def nearest_of_rows(distance: Array, count: int) -> Array:
         size = rows.shape[0] * count
         flat = rows.reshape(-1)
         (index,) = _kernel(-(-rows.shape[1] // LANES))(
-            flat, rows.shape[1], count, output_dims=size, launch_dims=rows.shape[0] * 32
+            # A warp for each row.
+            flat,
+            rows.shape[1],
+            count,
+            output_dims=size,
+            launch_dims=rows.shape[0] * 32,
         )
         return index.reshape(-1, count)
 

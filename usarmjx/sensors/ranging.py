@@ -90,6 +90,7 @@ def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: Ar
     # Noise is relative: of an infinite distance it would be infinite or NaN.
     noisy_distance = noisy(key, xp.where(hit, distance, 0.0), settings)
     ranges = xp.where(hit, xp.clip(noisy_distance, low, high), high)
+    # Sensors may have different curves; without any, one array operation serves all.
     curves = [s.output_curve for s in settings]
     if any(curves):
         return xp.stack([apply_output_curve(ranges[..., i, :], curve) for i, curve in enumerate(curves)], -2)
@@ -247,6 +248,7 @@ class ScannerSettings(RangeSettings):
 
 def step_count(fov: float, resolution: float) -> int:
     """Return the number of whole steps in a field of view, tolerating a rounding error of 1e-3 steps."""
+    # Files state angles with few digits: 3.14159 / 0.0174533 must be 180 steps and not 179.
     return int(fov / resolution + 1e-3)
 
 
@@ -472,6 +474,7 @@ class Lidar(RangeScanner3D):
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Scan once, all beams at the same moment; range noise as for all scanners."""
         settings, hits = self.settings[0], inputs.hits
+        # Lambert's law: a rough surface sends back the cosine of the angle at which light meets it.
         back = settings.reflectance * hits.cosine
         # An infinite distance gives a power of 0, so that misses need no mask.
         power = back / xp.square(xp.maximum(hits.distance, REFERENCE_DISTANCE))

@@ -265,6 +265,7 @@ class Rfid(Sensor):
         """
         del inputs
         known = opcode.lower() in ("read", "write") and bool(params) and params[0] >= 0
+        # Tags of the last reading are those in range now.
         return memory if known and bool(np.any(np.asarray(memory.last_read_ids) == params[0])) else None
 
 

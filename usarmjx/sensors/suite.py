@@ -86,6 +86,7 @@ class Suite:
         n = len(self.plan.parts)
         # Any poses do: the number of rays depends on neither poses nor surroundings.
         bodies = BodyPoses(pos=np.zeros((n, 3), np.float32), mat=np.zeros((n, 3, 3), np.float32))
+        # On NumPy within a trace, too: the poses are constants, and nothing has to be compiled.
         with numpy_backend():
             return tuple(len(sensor.aimed_rays(bodies, NO_SURROUNDINGS)[0]) for sensor in self.sensors)
 
@@ -378,6 +379,7 @@ class Suite:
             return memory
         return memory.replace(
             due=set_at(memory.due, i, inputs.clock.step),
+            # The next interval counts from the command, not from the schedule before it.
             lead=set_at(memory.lead, i, 0),
             armed=set_at(memory.armed, i, True),
         )
@@ -458,6 +460,7 @@ def query_of(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None
     )
 
 
+# A served world asks for the same few factors at each step, and scaling makes new frozen sensors.
 @lru_cache(maxsize=64)
 def _scaled(suite: Suite, factor: float) -> tuple[Sensor, ...]:
     """Return a suite's sensors with scaled noise, cached."""

@@ -115,6 +115,7 @@ def strip_directions(settings: KinectSettings, frame: Array) -> Array:
         frame: Number of the strip (...).
     """
     rows, columns = settings.shape
+    # Each strip begins where its share of the field of view does, not where the strip before ended.
     first = settings.vertical_fov * (xp.asarray(frame, xp.float32) / settings.frames - 0.5)
     up = first[..., None, None] + settings.vertical_resolution * np.arange(rows, dtype=np.float32)[:, None]
     left = settings.horizontal_fov / 2 - settings.horizontal_resolution * np.arange(columns, dtype=np.float32)

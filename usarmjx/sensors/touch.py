@@ -60,6 +60,7 @@ def _corners(shape: Shape) -> np.ndarray:
     if shape.mesh is not None:
         points = np.asarray(shape.mesh.vertices, float) @ mat.T + shape.at
         return np.stack([points.min(0), points.max(0)])
+    # Half the size of a turned box along each axis.
     half = np.abs(mat) @ np.array(half_lengths(shape))
     return np.stack([np.array(shape.at) - half, np.array(shape.at) + half])
 
@@ -124,6 +125,7 @@ class Touch(Sensor):
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.8.1); the robot's own parts do not count."""
         nearest = inputs.hits.distance.reshape(len(self.mounts), -1).min(-1)
+        # Rays start behind the button, so their distance has the setback in it.
         return memory, (nearest < self._setbacks + TOUCH_DISTANCE).astype(xp.float32)
 
 

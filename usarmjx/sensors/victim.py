@@ -149,6 +149,7 @@ class VictSensor(Sensor):
         # One draw for everything: each call of the generator is a hundred operations to XLA.
         drawn = random.normal(key, (met.size + position.size,))
         doubt = xp.abs(drawn[: met.size].reshape(met.shape)) * far > settings.distance / 3
+        # A victim is never doubted: owners below 0 are false alarms.
         seen = (met & (doubt | (xp.asarray(around.box_owner) >= 0))).any(0)
         error = settings.mean + settings.sigma * drawn[met.size :].reshape(position.shape)
         reported = xp.where(seen[:, None], position + far[:, None] * error, 0.0)

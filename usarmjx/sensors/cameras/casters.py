@@ -125,6 +125,7 @@ class GeomCaster:
         self._geoms, self._exclude_owner = geoms, exclude_owner
         self.appearance, self.materials = appearance, geoms.materials
         kinds = zip(geoms.kinds, geoms.blocks, strict=True)
+        # On NumPy, as kinds of geoms are static: the floor's colours cost nothing where there is no plane.
         self.is_plane = np.concatenate([np.full(len(block.owner), kind == PLANE) for kind, block in kinds])
 
     def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:

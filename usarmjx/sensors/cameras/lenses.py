@@ -43,6 +43,7 @@ def pixel_offsets(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the offsets of pixels right and up from the picture's centre [pixels], tile by tile (rays,)."""
     # Whole tiles: rays of a tile look in similar directions and form one bundle. Extra ones are cut off.
     columns, rows = (-(-side // TILE) * TILE for side in (width, height))
+    # Half a pixel more: rays go through the middles of pixels.
     right = np.broadcast_to(np.arange(columns) + 0.5 - width / 2, (rows, columns))
     up = np.broadcast_to(height / 2 - 0.5 - np.arange(rows), (columns, rows)).T
     return to_tiles(right).astype(np.float32), to_tiles(up).astype(np.float32)

@@ -99,6 +99,7 @@ def _brightest(
     if are_headlights:
         beam.light = 0.0
         beam.rgb = wp.vec3(1.0, 1.0, 1.0)
+    # A conversion and not a literal: Warp refuses to change a constant inside of a loop.
     number = wp.int32(0)
     while number < count:
         at = load_vec4(scene.lights, first + 2 * number)
@@ -154,6 +155,7 @@ def _cone_to_sun(mine: bool, start: wp.vec3, sun: wp.vec3) -> WarpCone:
     cone.slope = MIN_SLOPE
     # From the hindmost of the points, so that the cylinder holds the starts of all rays.
     cone.tip = middle + least_of_lanes(ahead) * sun
+    # The largest distance is the negative of the least of the negatives.
     cone.tip_radius = CONE_MARGIN + wp.sqrt(wp.max(-least_of_lanes(-wp.dot(aside, aside)), 0.0))
     return cone
 
@@ -162,6 +164,7 @@ def _cone_to_sun(mine: bool, start: wp.vec3, sun: wp.vec3) -> WarpCone:
 def _cone_distance(geoms: wp.array[wp.vec4], at: int, cone: WarpCone, by_box: bool) -> float:
     """Return the distance at which a cone meets a geom's bounding box or sphere, infinite for a miss [m]."""
     near = wp.float32(0.0)
+    # Rows of a geom are 32 apart; see `raycast_warp.pack`.
     pos = load_vec4(geoms, at)
     if by_box:
         r0 = load_vec4(geoms, at + 32)
@@ -254,6 +257,7 @@ def _is_dark(
     while any_lane(source > NO_SOURCE):
         # Plus 1: the sun's -1 becomes 0, the least unsigned number.
         key = wp.where(source > NO_SOURCE, wp.uint32(source + 1), LAST_KEY)
+        # The same in all lanes, so all of them take the same branch below, whose sums need every lane.
         now = least_key_of_lanes(key)
         mine = key == now
         cone = WarpCone()
@@ -313,6 +317,8 @@ def light_at(
     while turn < 2:
         beam = _brightest(scene, first, count, turn == 1, point, normal)
         wanted = met and shadows and beam.light > MIN_LIGHT
+        # As in `shading`: a headlight too weak for a shadow ray gives nothing, sun and lamps
+        # give their little light.
         dark = shadows and turn == 1 and not wanted
         if shadows:
             source = wp.where(wanted, beam.source, NO_SOURCE)

@@ -191,6 +191,7 @@ def lens_covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.nd
     """
     drawn, solids = plan.visuals.solids, plan.solids
     (middles, drawn_mat), (pos, mat) = _rest_poses(plan, drawn), _rest_poses(plan, solids)
+    # With all joints at 0: a camera on an arm is judged at rest, since the geoms are chosen once.
     lens = (plan.rest_pos[body] + plan.rest_frames[body] @ at)[None]
 
     def away(of: Solids, place: int, mat: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -235,6 +236,7 @@ def _distance_from_triangle(point: np.ndarray, size: np.ndarray) -> float:
     # Degenerate triangles have an edge of length 0.
     share = np.clip((flat * edges).sum(-1) / np.maximum((edges**2).sum(-1), 1e-12), 0.0, 1.0)
     beside = float(np.linalg.norm(flat - share[:, None] * edges, axis=-1).min())
+    # Corners are counter-clockwise, so a point inside is to the left of each edge.
     within = (edges[:, 0] * flat[:, 1] - edges[:, 1] * flat[:, 0] >= 0).all()
     return float(np.hypot(0.0 if within else beside, point[2]))
 

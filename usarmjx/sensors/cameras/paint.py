@@ -82,6 +82,7 @@ def instances(label: Any, index: Any) -> Any:  # noqa: ANN401 - whole numbers or
 
 def robot_geom_owner(slot: Array, geom: Array) -> Array:
     """Return the unique owner of a robot's geom, given its index in the `KinematicTree`."""
+    # One number for both, as a ray compares a single owner; int32 has room for 32,767 slots.
     return slot * MAX_ROBOT_GEOMS + geom
 
 

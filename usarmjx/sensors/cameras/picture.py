@@ -239,6 +239,7 @@ def _shade_rays(
     ]
     visible = render_scene.replace(geoms=render_scene.geoms.replace(blocks=tuple(blocks)))
     if caster is None and warp_in_use():
+        # Here, as Warp belongs to an extra.
         from usarmjx.sensors.cameras.shading_warp import shade_on_warp
 
         return shade_on_warp(visible, start, along, slot)
@@ -246,6 +247,7 @@ def _shade_rays(
 
 
 @partial(jax.jit, static_argnames=("width", "height"))
+# In TensorFloat-32, a GPU's default, products have 10 bits: positions would be off by centimetres.
 @jax.default_matmul_precision("highest")
 def render_picture_jit(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
     """As `render_picture`, compiled once for all cameras with equal numbers of lenses and types of lens."""

@@ -134,6 +134,7 @@ class PicturePrograms:
         if key not in self._programs:
             self._programs[key] = self._compiler.submit(self._compile, render_scene, view)
         program = self._programs[key]
+        # A program that failed stays False: it is not compiled again for each picture.
         return program.done() and program.result()
 
     def _compile(self, render_scene: RenderScene, view: View) -> bool:

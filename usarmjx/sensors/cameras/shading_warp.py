@@ -134,6 +134,7 @@ def _scene_of(  # noqa: PLR0913 - those of the kernels
     scene.geoms = geoms
     scene.lights = lights
     scene.signs = signs
+    # Each group has 32 rows more, those of its geoms' colours, which stand behind all groups of a world.
     scene.first = world * groups * (GROUP_SIZE + 32)
     scene.paint = scene.first + groups * GROUP_SIZE
     scene.wide = wide
@@ -141,6 +142,7 @@ def _scene_of(  # noqa: PLR0913 - those of the kernels
     scene.light = cast * (HEADER + 2 * lamps + 2 * headlights)
     scene.lamps = lamps
     scene.headlights = headlights
+    # Without a GPU a warp has one lane, number 0.
     scene.lane = lane & (lanes() - 1)
     return scene
 
@@ -359,6 +361,7 @@ def _groups(
         fill = jnp.zeros((-len(numbers) % 32, *rows.shape[1:]), rows.dtype)
         return jnp.concatenate([rows, fill]).reshape(-1, 32, *rows.shape[1:])
 
+    # One place for both: a geom is never a mirror and a pane.
     share = column(appearance.transparency if of_panes else appearance.reflectance)
     groups = pack(placed)
     groups = groups.at[:, 4, :, 3].set(whole(column(appearance.texture)))

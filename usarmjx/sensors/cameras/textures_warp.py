@@ -42,6 +42,7 @@ def sign_bits() -> np.ndarray:
     Returns:
         float32 (codes * side + markers + 3 * hazards,): whole numbers below 2^24 are exact.
     """
+    # A row of 21 cells is a number below 2^24.
     rows = shading.QR_CELLS.reshape(-1, shading.QR_SIDE) @ (1 << np.arange(shading.QR_SIDE))
     return np.concatenate([rows, shading.TAG_BITS, shading.HAZARD_RGB.ravel()]).astype(np.float32)
 

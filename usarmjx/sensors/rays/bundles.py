@@ -71,10 +71,12 @@ def bundled(values: jax.Array, size: int) -> jax.Array:
 
 def bounding_cones(start: XYZ, along: XYZ) -> Cone:
     """Return the bounding cones of bundles of rays (..., size), components (...)."""
+    # A mean of unit vectors is not the narrowest cone's axis, but near it and cheap.
     tip, axis = ([x.mean(-1) for x in vector] for vector in (start, along))
     length = jnp.maximum(jnp.sqrt(sum(x * x for x in axis)), TINY)
     axis = [x / length for x in axis]
     turned = [way * x[..., None] for way, x in zip(along, axis, strict=True)]
+    # The ray farthest from the axis decides; the tangent below is sine over cosine.
     cosine: jax.Array = jnp.min(turned[0] + turned[1] + turned[2], -1)
     slope = jnp.sqrt(jnp.maximum(1 - cosine**2, 0.0)) / jnp.maximum(cosine, MIN_COSINE) + MIN_SLOPE
     away = sum((at - x[..., None]) ** 2 for at, x in zip(start, tip, strict=True))
@@ -133,5 +135,6 @@ def cone_sphere_distance(
     # At the far side of the sphere, where the cone is widest.
     width = reach + slope * (along + radius)
     inside = (far - along * along <= width * width) & (along > -reach)
+    # Along any ray, not along the axis: still a lower bound, which is all that culling needs.
     near = jnp.maximum(jnp.sqrt(far) - reach, 0.0)
     return jnp.where(inside | (slope < 0), near, jnp.inf)

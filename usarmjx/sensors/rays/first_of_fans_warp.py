@@ -226,6 +226,7 @@ def _list_near_geoms(
             near.inner_end = end
         if shell == 1:
             near.middle_end = end
+    # Used on a CPU only, where each thread has its own list.
     near.own = listed
     near.end = end
     # Each lane reads what others have listed.
@@ -261,6 +262,7 @@ def _first_of_fan(  # noqa: PLR0913 - a struct of them would do no more
             at = geom_of(world, _listed(near, wp.min(row + column, near.end - 1)))
             mine = box_key(at, cone, exclude, column, near.end - row)
             key = least_key_of_lanes(mine)
+            # Slot bits are set in the limit, as a key's own would otherwise push an equal distance beyond it.
             while key < BEYOND and key <= (limit | SLOT_BITS):
                 at = geom_of(world, _listed(near, row + wp.int32(key & SLOT_BITS)))
                 p = row_of(at, 0)

@@ -38,6 +38,7 @@ def _cosine(at: wp.uint64, start: wp.vec3, along: wp.vec3, distance: float) -> f
     s = row_of(at, 4)
     point = local(r0, r1, r2, start + distance * along - wp.vec3(pos[0], pos[1], pos[2]))
     normal = normal_of(int(r1[3]), point, wp.vec3(s[0], s[1], s[2]))
+    # The absolute value, as normals here may point inward.
     return wp.abs(wp.dot(normal, local(r0, r1, r2, along)))
 
 
@@ -129,6 +130,7 @@ def cosines_of_hits(
         rays: Origins and directions (rays, 3), or fans.
         first: Hits.
     """
+    # Kernels take no empty arrays.
     if not work or not len(first.distance):
         return jnp.zeros_like(first.distance)
     count = len(first.distance)

@@ -163,6 +163,7 @@ def in_hole(point: XYZ, size: XYZ) -> Array:
         & (size[i] >= GRID_PITCH / 2)
         for i in range(3)
     ]
+    # The face is the one that the point is farthest out of: hits are off by roundings.
     over = [xp.abs(point[i]) - size[i] for i in range(3)]
     on_x = (over[0] >= over[1]) & (over[0] >= over[2])
     on_y = ~on_x & (over[1] >= over[2])
@@ -218,6 +219,7 @@ def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
 def bounding_radius(kind: int, size: XYZ) -> Array:
     """Return the radius of the bounding sphere about a geom's position."""
     if kind == TRIANGLE_KIND:
+        # A triangle's position is its first corner, so the farther of the other two decides.
         return xp.maximum(xp.abs(size[0]), xp.hypot(size[1], size[2]))
     _, half = bounding_box(kind, size)
     return xp.sqrt(_dot(half, half))
@@ -236,10 +238,12 @@ def surface_normal(kind: int, point: Array, size: Array) -> Array:
         side = (xp.argmax(xp.abs(point) - size, -1)[..., None] == np.arange(3)).astype(point.dtype)
         return side * xp.sign(point)
     if kind == GeomType.mjGEOM_ELLIPSOID:
+        # The gradient of the ellipsoid's equation.
         return _unit(point / size**2)
     if kind == GeomType.mjGEOM_SPHERE:
         return _unit(point)
     half = size[..., 1]
+    # The nearest point of the axis within the tube: at a capsule's ends it is the middle of the ball.
     along = xp.clip(point[..., 2], -half, half)
     normal = _unit(point - up * along[..., None])
     if kind == GeomType.mjGEOM_CYLINDER:

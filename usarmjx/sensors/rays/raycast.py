@@ -65,6 +65,7 @@ def masked_cast(wanted: Bool[Array, ""] | None, cast: Callable[..., T], missed: 
     """
     if wanted is None:
         return cast(*args)
+    # Under vmap all are cast if any is wanted, so the others' hits are dropped below.
     hits = _masked_cast(wanted, cast, missed, args)
     return jax.tree.map(lambda hit, miss: jnp.where(wanted, hit, miss), hits, missed)
 
@@ -258,6 +259,7 @@ def warp_hits(
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
     """As `nearest_hits`, on Warp; see `raycast_warp`."""
+    # Here, as Warp belongs to an extra.
     from usarmjx.sensors.rays.warp_launches import nearest_of_bundles
 
     wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
@@ -314,6 +316,7 @@ def _incidence(
 
         seen = indexed_blocks(geoms, query.transparent)
         if lines is not None and finds_first_only(seen, lines, query.least_cosines):
+            # Hits at flatter angles have been left out, so any cosine that passes the sensor's test will do.
             return jnp.where(first.geom_index >= 0, 1.0, 0.0)
         rays = (origin, direction) if lines is None else Fans(frames[0], frames[1], lines)
         return cosines_of_hits(seen, rays, first)

@@ -153,6 +153,7 @@ def _cast_wanted(
             *(old.at[rows].set(one, mode="drop") for old, one in zip(found, new, strict=True))
         )
 
+    # A loop over the wanted casts: its length is known only while it runs, which `scan` does not allow.
     return jax.lax.while_loop(lambda carry: carry[0] < total, more, (jnp.zeros((), int), blank))[1]
 
 
@@ -167,6 +168,7 @@ def _rays(lines: np.ndarray | None, given: Sequence[jax.Array]) -> tuple[XYZ, XY
         return start, along
     pos, mat = given
     shape = len(pos), -1
+    # Components stand apart, so that each product runs over contiguous rays.
     along = [_dot([mat[..., j, i, None] for i in range(3)], np.moveaxis(lines, -1, 0)) for j in range(3)]
     start = [jnp.broadcast_to(pos[..., j, None], along[j].shape) for j in range(3)]
     return [x.reshape(shape) for x in start], [x.reshape(shape) for x in along]
@@ -253,6 +255,7 @@ def _test_near(
 ) -> GeomHits:
     """As `_test_all`, for each bundle only with the near geoms, front to back."""
     casts, number, size = found.distance.shape
+    # As few bits as indices need: each bit taken from the distance makes the order of geoms coarser.
     bits = (info.num_geoms - 1).bit_length()
     low = np.int32((1 << bits) - 1)
     near = _cone_distances(info, block, cone)

@@ -227,6 +227,7 @@ def world_geoms(
 def geom_of(world: WorldGeoms, slot: int) -> wp.uint64:
     """Return the address of the first row of a world's geom."""
     is_fixed = slot >= world.begin and slot < world.end
+    # Fixed geoms are missing in the world's own array, so later slots move up.
     index = wp.where(slot >= world.end, slot - (world.end - world.begin), slot)
     index = wp.where(is_fixed, slot - world.begin, index)
     return wp.where(is_fixed, world.fixed, world.own) + wp.uint64(geom_row(index) * 16)
@@ -246,6 +247,7 @@ class WarpCone:
 def cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
     """Return the bounding cone of the rays of all lanes."""
     cone = WarpCone()
+    # Surplus lanes count, too, as they repeat a ray of the bundle.
     share = 1.0 / wp.float32(lanes())
     cone.tip = start
     cone.tip_radius = CONE_MARGIN
@@ -394,6 +396,7 @@ def nearest_geom(  # noqa: PLR0913 - a struct of them would do no more
             if t < best.distance:
                 best.distance = t
                 best.geom = r2[3]
+        # At most to the end of this kind: the next pass begins with the first compact geom.
         begin = wp.min(begin + KEYS_PER_LANE * width, end)
     if best.geom < 0.0:
         best.distance = wp.inf

@@ -209,6 +209,7 @@ def _box_normal(p: wp.vec3, s: wp.vec3) -> wp.vec3:
     z = wp.abs(p[2]) - s[2]
     on_y = y > x and y >= z
     on_z = z > x and z > y
+    # Without its sign, which the caller chooses by the ray.
     side = wp.where(on_z, wp.vec3(0.0, 0.0, 1.0), wp.vec3(1.0, 0.0, 0.0))
     return wp.where(on_y, wp.vec3(0.0, 1.0, 0.0), side)
 
@@ -247,6 +248,8 @@ def cone_box_distance(half: wp.vec3, tip: wp.vec3, axis: wp.vec3, tip_radius: fl
         position = wp.where(axis[i] >= 0.0, tip[i], -tip[i])
         speed = wp.abs(axis[i])
         opening = speed + slope
+        # A wall of the cone that is parallel to the slab meets it nowhere: huge instead
+        # of infinite, as above.
         closing = _not_zero(speed - slope)
         share = 1.0 / (opening * closing)
         enter = (-position - room) * closing * share

@@ -47,6 +47,7 @@ def _bundle_of(size: int) -> int:
 def _launch_of_rays(count: int, bundle_size: int, numbers: Sequence[float]) -> _Launch:
     """Return how single rays are cast; numbers are those of `nearest_of_bundles`."""
     *geoms, reach = numbers
+    # Rays without a common cone would each fill a warp of their own.
     if bundle_size == 1:
         return _Launch("cast_single_rays", 1, [*geoms, count, reach])
     size = _bundle_of(bundle_size)
