@@ -89,6 +89,7 @@ def apply_actions(
         UnknownNameError: A DRIVE key, joint, effecter or operation that the robots do not have.
         UsageError: Messages in a scene without mail, or an operation that needs a parameter.
     """
+    # In this order, so that orders to single joints and effecters win over DRIVE.
     for index, values in actions.drive.items():
         world = _update(scene, world, index, CommandUpdate(drive=values), where)
     for joints in actions.joint_actions:
@@ -119,6 +120,7 @@ def _operate(
     if where is not None:
         mask = mask & where[group.slots]
     order = EffecterCommand(group=action.group, effecter=effecter, opcode=opcode, value=value, where=mask)
+    # The result is an answer for clients, which policies do not read.
     return operate(scene, world, physics, order)[0]
 
 

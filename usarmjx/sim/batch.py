@@ -81,6 +81,7 @@ class BatchState(Node, kw_only=True):
 
 def select_worlds(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
     """Return new where masked (worlds,), else old (worlds, ...)."""
+    # The mask gets an axis of length 1 for each further one: `where` aligns axes from the last.
     return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
@@ -279,6 +280,7 @@ class Batch:
         if self.engine.traceable:
             # `self.step` and not `self._step`: a subclass may extend a step.
             step = self.step if reset_bad else partial(self._step, reset_bad=False)
+            # A loop within one program: a call from Python for each step would cost as much as a small step.
             return self.engine.blocking(jax.lax.fori_loop)(0, steps, lambda _, s: step(s), state)
         if reset_bad and type(self).step is not Batch.step:
             for _ in range(steps):
@@ -431,6 +433,8 @@ class Batch:
         """
         effecter, operation, number = find_operation(self.scene.groups[group], name, opcode, value)
         shape = state.worlds.groups[group].active.shape
+        # Broadcast here, outside of the program, which would be compiled anew for each
+        # shape of the arguments.
         command = jnp.broadcast_to(jnp.asarray(number, jnp.float32), shape), jnp.broadcast_to(where, shape)
         worlds, result = self._operate(
             state.worlds, self.physics(state), (group, effecter), operation, *command
@@ -552,6 +556,7 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
         joints = list(index.qposadr)
         with numpy_backend():
             varied = jax.tree.map(lambda x: np.asarray(x)[world], state.worlds.varied)
+            # Where wheels vary between worlds, its joints stand as this world's do.
             own = stances_in(scene.vary, varied, scene.groups[group].robot, [slot])
         pinned[world, joints] = True
         qpos[world, joints] = scene.parked_qpos[joints] if own is None else own.joints[0]

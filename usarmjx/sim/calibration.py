@@ -122,6 +122,7 @@ def _random_command(drive: Any, limits: np.ndarray, rng: np.random.Generator) ->
     if isinstance(drive, OmniDrive):
         # Wheels that agree: all at one speed and one angle, or those ahead turned the other way.
         speeds = np.array([key.startswith("WheelSpeed") for key in drive.keys])
+        # Keys are WheelSpeed1, WheelSteer1, ...: without these letters the wheel's number is left.
         sides = np.array([np.sign(drive.wheels[int(key.lstrip("WhelSpdtr"))].x) for key in drive.keys])
         angle = rng.uniform(-1.0, 1.0) * drive.max_steer * (sides if kind < 0.5 else 1.0)
         return np.where(speeds, rng.uniform(-1.0, 1.0) * drive.max_spin, angle).astype(np.float32)
@@ -132,6 +133,7 @@ def _random_command(drive: Any, limits: np.ndarray, rng: np.random.Generator) ->
             values[1] = -values[0]
     else:
         values[0] *= min(1.0, MAX_CAR_SPEED / drive.top_speed)
+        # Keys after the first steer.
         values[1:] *= kind >= STRAIGHT_SHARE
     return values.astype(np.float32)
 
@@ -258,11 +260,13 @@ def _fit(
         bounds=(low, high),
         loss="soft_l1",
         f_scale=0.1,
+        # Steps in units of the first guess: time constants and gains differ by a factor of a hundred.
         x_scale=np.maximum(np.abs(first), 0.05),
         max_nfev=60,
     )
     twists = _twists(jnp.asarray(solution.x, jnp.float32), commanded, log.period, sides_apart)
     residual_rms = np.sqrt((np.asarray(twists - measured) ** 2).mean((0, 1)))
+    # Five digits: more would change with every version of the optimiser and mean nothing.
     figures = {name: float(f"{x:.5g}") for name, x in zip(NUMERIC_FIELDS, solution.x.tolist(), strict=True)}
     return Response(**figures, sides_apart=sides_apart), residual_rms, float(solution.cost)
 
@@ -278,6 +282,7 @@ def _twists(values: Array, commanded: Array, period: float, sides_apart: bool) -
 
     # From rest, as the log begins after the robots have settled.
     lagged = jax.lax.scan(step, jnp.zeros_like(commanded[0]), commanded)[1]
+    # As `rolling` does it on the engine: first the lag, then gains, then the drift of bends.
     ahead, turn = response.gain * lagged[..., 0], response.turn_gain * lagged[..., 2]
     aside = response.gain * lagged[..., 1] + response.drift * ahead * turn
     return jnp.stack([ahead, aside, turn], -1)
@@ -372,6 +377,7 @@ def build_calibrated(build: Callable[[], Built]) -> Built:
     """
     try:
         return build()
+    # Built at once and not checked before: only the builder knows which robots its engine needs figures of.
     except UncalibratedRobotError as error:
         missing = error.robots
     ensure_calibrated(missing)

@@ -81,6 +81,7 @@ def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec)
         return [
             (data.qpos, free),
             (data.qvel, dofs),
+            # The solver starts from the last accelerations: without them the robot's next step would differ.
             (data.qacc_warmstart, dofs),
             (data.act, list(index.actadr)),
             (data.ctrl, actuators),
@@ -143,6 +144,7 @@ class ActiveFiles:
         return others
 
 
+# A list, so that functions replace its item without a global statement.
 _active_files = [ActiveFiles()]
 
 

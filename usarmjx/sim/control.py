@@ -436,6 +436,7 @@ def _wrench(
         if conditions.speed is not None:
             setpoint = setpoint * conditions.speed[..., None]
         own = drive.wrench(setpoint, state, conditions.depth)
+        # Drag and buoyancy act without power, too.
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
     # Without a command there is none: at rest that is a third of the time of all inputs.
     if isinstance(drive, YieldingSkidSteer) and not known_none(setpoint):
@@ -472,6 +473,7 @@ def _tyre_wrench(plan: KinematicTree, drive: YieldingSkidSteer, setpoint: Array,
     """
     left, right = (state.joint_vel[..., wheels].sum(-1) / len(wheels) for wheels in _wheels_of_sides(plan))
     most = MAX_TURNING * drive.turning(setpoint[..., 1] - setpoint[..., 0])
+    # Between 0 and the commanded turn, on whichever side of 0 that is.
     turning = xp.clip(right - left, xp.minimum(most, 0.0), xp.maximum(most, 0.0))
     up = up_from_quat(state.quat)
     torque = xp.where(up[..., 2] > MIN_TYRES_COS, drive.yaw_torque(turning, state.angular[..., 2]), 0.0)
@@ -593,6 +595,7 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     # In the robot's own axes, in which its dimensions and its inertia apply.
     axis, spin = matvec(mat.mT, _righting_axis(mat)), state.angular
     squared_size = np.square(np.array(plan.robot.dimensions, np.float32))
+    # Squared size across the axis: each dimension counts by the sine of its angle to the axis.
     squared_width = ((1.0 - axis**2) * squared_size).sum(-1, keepdims=True)
     strength = plan.mass * GRAVITY * xp.sqrt(squared_width)
     inertia_about_axis = xp.maximum((axis * matvec(plan.inertia, axis)).sum(-1, keepdims=True), MIN_INERTIA)

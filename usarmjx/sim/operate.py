@@ -181,6 +181,7 @@ def effecter_position(effecter: Effecter, plan: KinematicTree, bodies: BodyPoses
 def ground_below(point: Array, cast: RayCaster) -> Array:
     """Return the ground below points (n, 3) [m] (n, 3), infinitely low where there is none."""
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0], np.float32), point.shape)
+    # No robot is passed: the geoms of this caster are floor and arena only.
     hits = cast(point, down, RayQuery(transparent=frozenset({SKY})), None)
     return set_at(point, (..., 2), point[..., 2] - hits.distance)
 

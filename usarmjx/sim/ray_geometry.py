@@ -261,6 +261,7 @@ def _victim_geoms(scene: Scene, arena_state: ArenaState | None, time: Time) -> V
     place, quat = segment_poses(table, time, xp)
     turn = mat_from_quat(quat)
     pos = place[:, None] + matvec(turn[:, None], drawn.offset) + xp.array([0.0, 0.0, scene.arena.floor])
+    # Parts differ between worlds there, and shapes of arrays may not: unused slots are far away.
     seen = np.ones((boxes, slots), bool) if arena_state is not None else used_slots(scene.victims.part)
     which = np.flatnonzero(seen)  # of worlds that differ, all
     return VisibleGeoms(

@@ -176,6 +176,7 @@ def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
         order = random.permutation(episode_key(world, Stream.START_POSES), order)
     rows = list[Part]()
     if world.arena_state is not None:
+        # The model has the loose objects of the template, each world those of its own arena.
         rows.append((scene.loose_geoms.root_qposadr, world.arena_state.loose))
     active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
     for group in scene.groups:
@@ -201,6 +202,7 @@ def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
             parked = [parking_position(scene.arena, int(slot)) for slot in group.slots[~stands]]
             root = np.array([[*position, 1.0, 0.0, 0.0, 0.0] for position in parked], np.float32)
             rows.append((group.root_qposadr[~stands], xp.asarray(root)))
+    # Coordinates without a row stay as described: doors, and the joints of parked robots.
     return set_rows(xp.asarray(scene.parked_qpos), *rows)
 
 

@@ -394,6 +394,7 @@ class Scene:
             return None
         chassis = np.zeros(self.num_robots, int)
         which = np.zeros(self.num_robots, bool)
+        # Bodies of no robot have owner -1, and never vary.
         owner, wheel = np.full(self.model.nbody, -1), np.zeros(self.model.nbody, bool)
         for group in self.groups:
             # The chassis is the first body of a robot and no part of its list.
@@ -489,6 +490,7 @@ def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
 
 def origin_height(arena: ArenaSpec, height: ArrayLike, robot: RobotSpec) -> ArrayLike:
     """Return the height of a robot's origin when it stands under start poses of some height (...,) [m]."""
+    # Start poses are above the ground by the height at which USARSim's maps have them.
     return arena.floor + height - START_ELEVATION + standing_height(robot)
 
 

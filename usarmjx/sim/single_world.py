@@ -150,6 +150,7 @@ class SingleWorld:
         with numpy_backend():
             zero = np.zeros((), np.int32)
             self.world = World(
+                # The key that world `number` of a batch of this seed has.
                 key=random.fold_in(random.key(seed), number),
                 number=np.asarray(number, np.int32),
                 arena_state=None,

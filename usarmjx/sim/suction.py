@@ -91,6 +91,7 @@ class Suction:
         data, reach = self._engine.data, effecter.settings.suction_length
         mat = data.xmat[base].reshape(3, 3)
         start = data.xpos[base] + mat @ np.array(flip_vector(effecter.mount.at))
+        # In USARSim's axes, as descriptions have it, and flipped as a vector in the next line.
         x, y, z = mat_from_angles(*effecter.mount.direction)[:, 0].tolist()
         along = mat @ np.array(flip_vector((x, y, z)))
         query = RayQuery(transparent=frozenset({SKY}), max_distance=reach)
@@ -128,4 +129,5 @@ class Suction:
         model, data = self._engine.model, self._engine.data
         base, thing = model.body(hold.base).id, model.body(hold.thing).id
         now = data.xmat[base].reshape(3, 3).T @ (data.xpos[thing] - data.xpos[base])
+        # In the base's axes: a held object moves with the gripper, and only what it moves against it counts.
         return bool(np.linalg.norm(now - hold.pos) > hold.reach)

@@ -109,6 +109,7 @@ class Trial:
         self._arena, self._robot, self._share = arena, robot, share
         self._posture = flipper_posture(robot)
         self._keys = robot.drive.full_scale
+        # A single world and not a batch: nothing has to be compiled.
         self.world = SingleWorld(build_scene(arena, []), seats=1)
         self._period = self.world.scene.physics.period
         self._slot = self.world.add(robot, robot.name, [self._pose_at(arena.starts[0])])
@@ -142,6 +143,7 @@ class Trial:
         drive = drive_values(self._keys, ahead, left, 0.0, self._share)
         update = CommandUpdate(drive=drive, joints=self._posture(pitch) if self._posture else {})
         with numpy_backend():
+            # From the idle command and not from the last one: nothing of the command before is left.
             robot_command = update_command(scene.groups[group].plan, idle_command(self._robot), update)
         self.world.edit(self._slot, command=robot_command)
 
@@ -556,6 +558,7 @@ def plan_segments(arena: ArenaSpec, robot: RobotSpec) -> list[RouteSegment]:
     node, home = finder.node(arena.starts[0]), arena.starts[0]
     while remaining and node >= 0:
         lengths, predecessors = finder.shortest_paths(node)
+        # The nearest next, and not the shortest tour: a route is a test of ways, not of planning.
         name = min(remaining, key=lambda one: lengths[remaining[one][0]])
         target, start = remaining.pop(name)
         # The plan has no way there: that is a fault of the arena's check, not of the drive.
@@ -591,6 +594,7 @@ class _PathFinder:
         self._graph = self._edges()
 
     def _edges(self) -> Any:  # noqa: ANN401 - a sparse matrix of scipy
+        # Here, as SciPy takes half a second to import and only routes need it.
         from scipy import ndimage, sparse  # pyright: ignore[reportMissingTypeStubs]
 
         csr_array, distance_transform_edt = (

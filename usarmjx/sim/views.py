@@ -158,6 +158,7 @@ def build_render_scene(
 
 def _picture_seed(world: World) -> Array:
     """Return the seed of the noise in pictures of this moment ()."""
+    # Of the same stream as sensors, which fold in slots: a number that no slot has keeps both apart.
     key = random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
     return random.randint(random.fold_in(key, PICTURE_KEY), 0, 2**31 - 1)
 

@@ -430,6 +430,7 @@ def finish_and_compute_inputs(
 ) -> tuple[World, Array, tuple[World, Inputs]]:
     """Finish a control step as `finish_step` does, and begin the next one as `compute_inputs` does."""
     world, finite = finish_step(scene, world, physics, overflow)
+    # Only engines outside of JAX take this way, and all of them solve for contacts: `solved` stays True.
     return world, finite, compute_inputs(scene, world, physics)
 
 
