@@ -186,4 +186,5 @@ def link_range(settings: RadioSettings, walls: int) -> float:
     # Power does not fall with distance: the link holds everywhere or nowhere.
     if settings.n == 0:
         return math.inf if margin >= 0 else 0.0
+    # The formula of manual 3.2.4, solved for the distance.
     return settings.do * 10 ** (margin / (10 * settings.n))

@@ -47,6 +47,7 @@ def intersection(one: SegmentInterval, other: SegmentInterval) -> SegmentInterva
 
 def behind_face(middle: XYZ, half: XYZ) -> SegmentInterval:
     """Return the interval of a segment below z = 0: behind a face of a convex solid, in the face's frame."""
+    # Normals of faces point outward, along z.
     return positive_interval(-middle[2], -half[2])
 
 
@@ -62,6 +63,7 @@ def crosses_column(middle: XYZ, half: XYZ, size: XYZ) -> Array:
         positive_interval(1 + SIDE_MARGIN - x - y, -dx - dy),
     )
     low, high = reduce(intersection, (*sides, positive_interval(-z, -dz), above_bottom))
+    # Less and not equal: a segment that only touches the column crosses nothing.
     return low < high
 
 
@@ -165,4 +167,5 @@ def _count_in_passes(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Arr
         return (count + (crossed & last[c]), *kept)
 
     start = (jnp.zeros(half[0].shape, jnp.int32), *fresh)
+    # A loop, so that no array of segments times all pieces is stored.
     return jax.lax.fori_loop(0, len(rows.owner), chunk, start)[0]

@@ -49,6 +49,7 @@ def antenna_positions(robot: RobotSpec, pos: Array, quat: Array, floor: float) -
 
 def _squarings(robots: int) -> int:
     """Return how often a path table is multiplied by itself until it covers paths of robots - 1 hops."""
+    # Each squaring doubles the covered length, and two robots are linked or not.
     return math.ceil(math.log2(robots - 1)) if robots > 2 else 0
 
 
@@ -235,6 +236,7 @@ def pair_powers(
     low, high = pair_slots(len(antennas))
     start, end = antennas[low], antennas[high]
     way = end - start
+    # Bounded before the root, whose derivative at 0 is infinite.
     distance = xp.sqrt(xp.maximum((way * way).sum(-1), MIN_SQUARED_DISTANCE))
     # A count is constant almost everywhere; tracing derivatives through ray tests would only cost time.
     walls = count_walls(geoms, stop_gradient(start), stop_gradient(end))
@@ -273,6 +275,7 @@ def evaluate_links(
         paired=paired,
         in_range=in_range,
         delivery_probability=delivery_probability(settings, power),
+        # Without an evaluation before, every link of the first step would count as one that came up.
         went_down=before.evaluated & before.in_range & ~in_range,
         came_up=before.evaluated & ~before.in_range & in_range,
         evaluated=xp.ones((), bool),

@@ -291,6 +291,7 @@ def deliver(
     affordable = xp.where(length > 0, left // xp.maximum(length, 1), to.shape[-1])
     paid = to & (xp.cumsum(to, -1) <= affordable[:, None])
     linked = paid & links.in_range
+    # Drawn for all pairs: shapes are fixed, and whether a message is lost does not depend on the others.
     arrived = linked & _through(links, key)
     if inboxes.transit is not None:
         transit, fits = enqueue(settings, inboxes.transit, arrived, (length, messages.payload), clock)
@@ -303,6 +304,7 @@ def deliver(
         boxes, fits = _put(inboxes, arrived, contents)
     before = inboxes.dropped
     return boxes.replace(
+        # Also of messages that get lost: the sender's radio has sent them.
         spent=spent + length * _count(paid),
         step=xp.asarray(clock.step, xp.int32),
         sent=inboxes.sent + _count(to),

@@ -60,6 +60,7 @@ PADDING_DISTANCE = 1e6
 
 def crosses_plane(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Return whether a segment crosses a plane with normal z; half sizes of 0 are unbounded."""
+    # The ends lie on opposite sides exactly if the half vector reaches farther than the midpoint is away.
     crossed = xp.abs(middle[2]) < xp.abs(half[2])
     # A segment parallel to the plane does not cross it: the divisor is arbitrary then.
     t = -middle[2] / xp.where(half[2] == 0, 1.0, half[2])
@@ -100,6 +101,7 @@ def crosses_sphere(middle: XYZ, half: XYZ, size: XYZ) -> Array:
 
 def crosses_ellipsoid(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     """Return whether a segment crosses the interior of an ellipsoid with radii `size`, a scaled sphere."""
+    # Scaled to a unit sphere, a segment stays a segment, and inside stays inside.
     scale = [1.0 / s for s in size]
     stretched = [tuple(a * s for a, s in zip(v, scale, strict=True)) for v in (middle, half)]
     return _nearest_squared(*stretched, 3) < 1.0  # type: ignore - three components each
@@ -174,6 +176,7 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     pos, mat = pieces.world_poses(data.geom_xpos[walls], data.geom_xmat[walls].reshape(-1, 3, 3))
     # NumPy only: the result is cached, and JAX arrays made during a trace would leak tracers.
     placed = pos.astype(np.float32), mat.astype(np.float32)
+    # The geom is the owner: pieces of one solid are counted once.
     geoms = make_geoms(pieces.kind, *placed, pieces.size, pieces.geom)
     blocks = [
         pad_to_chunks(block) if kind in PIECE_KINDS else block
@@ -271,6 +274,7 @@ def count_walls(geoms: Geoms, start: Array, end: Array) -> Array:
 
 def count_on_jax(geoms: Geoms, start: Array, end: Array) -> Array:
     """As `count_walls`, on JAX or NumPy."""
+    # A midpoint and a half vector: exchanged ends change a sign only, so both directions count alike.
     middle: XYZ = tuple(xp.moveaxis((start + end) / 2, -1, 0))
     half: XYZ = tuple(xp.moveaxis((end - start) / 2, -1, 0))
     counts = [_count(kind, b, middle, half) for kind, b in zip(geoms.kinds, geoms.blocks, strict=True)]

@@ -332,6 +332,7 @@ def pack_solids(geoms: Geoms) -> tuple[jax.Array, int, int]:
     Returns:
         (7, geoms, 4), pieces last, padded to whole groups; and the two counts.
     """
+    # Pieces last: the kernel takes them in a loop of its own.
     pairs = sorted(zip(geoms.kinds, geoms.blocks, strict=True), key=lambda pair: pair[0] in PIECE_KINDS)
     parts = [_packed(kind, block) for kind, block in pairs]
     wholes = sum(len(block.owner) for kind, block in pairs if kind not in PIECE_KINDS)
@@ -350,6 +351,7 @@ def _packed(kind: int, block: GeomBlock) -> jax.Array:
     if kind in PIECE_KINDS:
         reach = none - np.float32(np.inf)
     elif kind == PLANE:
+        # Unbounded: every segment is near it.
         reach = none + np.float32(np.inf)
     else:
         reach = jnp.asarray(bounding_radius(kind, tuple(size.T)))

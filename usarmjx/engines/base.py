@@ -121,6 +121,7 @@ class VariedModel:
         if varied.friction is not None:
             worlds = varied.friction.shape[0]
             fields["geom_friction"] = (
+                # Column 0 is sliding friction; torsional and rolling friction stay as described.
                 base("geom_friction", worlds).at[..., 0].multiply(varied.friction[:, None])
             )
         if varied.torque is not None:
@@ -419,6 +420,7 @@ def engine_class(name: str) -> type[Engine[Any]]:
         UnknownNameError: No such engine.
     """
     module, kind = ENGINES.get(name)
+    # Imported by its name and only now: a run needs one engine.
     return getattr(import_module(module), kind)
 
 

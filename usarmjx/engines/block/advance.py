@@ -188,6 +188,7 @@ def make_tables(model: mujoco.MjModel) -> dict[int, dict[str, np.ndarray]]:
         edges = np.stack([own, own + 1], axis=1)
         tables[int(size)] = {
             "starts": starts,
+            # Of each tree a dense block: other trees have no entries in its rows of M.
             "elements": place[dofs[:, :, None], dofs[:, None, :]],
             "joints": np.searchsorted(tree_of, edges),
             "joint": joint,
@@ -232,6 +233,7 @@ class Advance:
             setattr(p, name, getattr(m, name))
         for name in ("M", "qvel", "qpos", "act", "act_dot"):
             setattr(p, name, getattr(d, name))
+        # The solver leaves M a in `Ma`, so the right side of the implicit step is there already.
         p.momentum, p.timestep, p.worlds = d.efc.Ma, m.opt.timestep, d.nworld
         return p
 
@@ -240,5 +242,7 @@ class Advance:
         for size, tables in self._tables.items():
             dim = d.nworld * tables["starts"].size
             inputs = [self.problem(m, d, size)]
+            # A launch for each size of trees: matrices in registers need a size that is known when
+            # a kernel is compiled.
             warp.launch(advance_kernel(size), dim=dim, inputs=inputs, block_dim=64, device=d.qpos.device)
         self._rest(m, d, d.qacc)

@@ -93,6 +93,7 @@ def narrow_phase(m: Any, d: Any, context: Any) -> None:  # noqa: ANN401 - MuJoCo
     replaced: dict[str, Any] = {"ccd_kernel_builder": near_collider}
     if len(branches):
         replaced["wp"] = SimpleNamespace(**vars(warp) | changed)
+    # The undecorated function: a wrapper's globals are those of the decorator's module.
     convex = with_globals(driver.convex_narrowphase.__wrapped__, **replaced)
     with_globals(driver._narrowphase, convex_narrowphase=convex)(m, d, context)
     branches.join()

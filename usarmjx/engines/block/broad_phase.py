@@ -403,6 +403,7 @@ class BroadPhase:
             inputs=[*convex, d.naconmax],
             outputs=found,
         )
+        # A launch of its own after the copy, which reads the length that this one changes.
         wp.launch(count_convex_pairs, dim=1, inputs=[convex[0], d.naccdmax], outputs=[d.ncollision])
 
     def _convex_lists(self, room: int) -> list[Any]:
