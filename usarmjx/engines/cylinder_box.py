@@ -110,8 +110,10 @@ def _rim_normals(pair: _Pair) -> jax.Array:
 def _least_penetration(pair: _Pair) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Normal from box to cylinder (3,), gap along it [m] (), whether it is a face's normal ()."""
     corners = jnp.stack(jnp.meshgrid(*[jnp.array([-1.0, 1.0])] * 3), axis=-1).reshape(8, 3)
+    # Radial normals: from each corner of the box straight to the axis.
     spokes = pair.center - corners * pair.box
     spokes = spokes - _dot(spokes, pair.axis)[:, None] * pair.axis
+    # Normals of the side where an edge of the box touches it.
     crosses = jnp.cross(pair.axis, jnp.eye(3))
     directions = jnp.concatenate([spokes, crosses, pair.axis[None], _rim_normals(pair)])
     # Cross products of nearly parallel axes are roundings: normalised, they would point anywhere.
@@ -336,6 +338,7 @@ def cylinder_box(cylinder: GeomInfo, box: GeomInfo) -> Contacts:
     dist = jnp.where(on_face, face_gaps, edge_gaps)
     pos = jnp.where(on_face, face_pos, edge_pos)
     pos = box.pos + jnp.sum(box.mat * pos[:, None], axis=-1)
+    # Negated: MuJoCo's normals point from the first geom of a pair, the cylinder, to the second.
     frame = _frame(-jnp.sum(box.mat * n, axis=-1))
     return dist, pos, jnp.tile(frame, (CONTACTS, 1, 1))
 

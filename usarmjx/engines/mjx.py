@@ -107,7 +107,7 @@ def step_by_accelerations(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     MJX integrates the solver's forces. In single precision the solver stops while these are wrong by up to
     0.1 N, which changes accelerations little where contacts are stiff. The integration divides it by inertia
     alone, which is up to a thousand times less: robots that stood trembled by up to 0.4 rad/s2. MuJoCo Warp
-    integrates accelerations, too. Where no constraint acts, forces are exact and accelerations are not.
+    integrates accelerations, too. Without an active constraint forces are exact and accelerations are not.
     """
     # `mjx.step` is forward, then the integrator; they are called apart to change the forces in between.
     done = mjx.forward(model, data)
@@ -156,6 +156,7 @@ class MjxEngine(Engine[mjx.Data]):
         def make_data(_: jax.Array) -> mjx.Data:
             return self._make_data()
 
+        # The numbers are not used: vmap needs an argument with an axis over the worlds.
         return jax.jit(jax.vmap(make_data))(jnp.arange(self.worlds))
 
     def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:
@@ -173,6 +174,7 @@ class MjxEngine(Engine[mjx.Data]):
             axes = jax.tree.map(lambda _: None, self.mx).tree_replace(dict.fromkeys(fields, 0))
         step, calls = self._step_and_count()
         worlds_step = jax.vmap(step, in_axes=(axes, 0))
+        # A loop of the program and not of Python: the step is compiled once, however many substeps there are.
         return jax.lax.fori_loop(0, calls, lambda _, d: worlds_step(model, d), data)
 
     def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:

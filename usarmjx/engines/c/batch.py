@@ -266,6 +266,7 @@ class CEngine(Engine[CState]):
         self._models = [self.model if same else self.model.__copy__() for _ in range(count)]
         self._fields = None if self.varied_model is None else jax.jit(self.varied_model.fields)
         self._datas = [mujoco.MjData(self.model) for _ in range(count)]
+        # MuJoCo releases Python's lock within a step, so threads are enough.
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -296,6 +297,7 @@ class CEngine(Engine[CState]):
 
     def advance(self, engine_state: CState, inputs: Inputs) -> CState:
         """Step every world by one control step."""
+        # Once for all worlds: taking rows of JAX arrays would dispatch an operation for each.
         arrays = jax.tree.map(np.asarray, inputs)
         fields = self._varied_fields(inputs)
         # A fresh array: states that the caller still holds stay as they were.
@@ -307,6 +309,7 @@ class CEngine(Engine[CState]):
             # MuJoCo's counters only grow: what a world adds is the difference.
             before = buffer_warnings(data)
             varied = [(getattr(model, name), values) for name, values in fields.items()]
+            # Worlds in turn, so that threads get equal numbers of them.
             for world in range(thread, self.worlds, len(self._datas)):
                 mujoco.mj_setState(model, data, states[world], INTEGRATION_STATE)
                 for array, values in varied:

@@ -323,6 +323,7 @@ class CameraCaster:
         """Cast mirror reflections (rays, 3) at solids; only the wanted ones (rays,)."""
         count, rays = len(origin), np.flatnonzero(wanted)
         start, along = (np.asarray(x, np.float64)[rays] for x in (origin, direction))
+        # Incidence only for the normals, which MuJoCo computes on request.
         hits, query = _no_hits(len(rays)), SOLID_QUERY.replace(incidence=True)
         for target in (self._world, *self._figures):
             target.keep_closer_each(start, along, query, hits)
@@ -338,6 +339,8 @@ class CameraCaster:
             rays = np.flatnonzero(beams.wanted & (beams.source == source))
             point, own = np.asarray(beams.point, np.float64)[:, rays].T, NO_ROBOT
             if source < 0:
+                # From the middle of the points: there the rays of a near picture differ
+                # least from parallel ones.
                 light = point.mean(0) + SUN_DISTANCE * np.asarray(beams.sun, np.float64)
             else:
                 light = np.asarray(beams.pos[source], np.float64)

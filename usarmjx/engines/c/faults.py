@@ -252,6 +252,7 @@ def _saved(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 def _is_finite(*arrays: np.ndarray) -> bool:
     """Return whether all numbers are within MuJoCo's range of valid numbers."""
+    # MuJoCo resets a world beyond it, so a larger number counts as a fault, too.
     most = mujoco.mjMAXVAL
     # The sum of squares is one quick call, and false if a number is not finite; most states end there.
     return all(

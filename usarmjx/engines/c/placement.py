@@ -110,6 +110,7 @@ class _Probe:
     """Copy of a world in which one robot is moved to test for contacts."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, index: RobotIndex, quat: Array) -> None:
+        # A copy, as the masks of its geoms are changed below.
         self._model, self._data = model.__copy__(), mujoco.MjData(model)
         self._is_own = np.isin(model.geom_bodyid, index.body_ids)
         self._moving = (model.body_treeid[model.geom_bodyid] >= 0) & ~self._is_own

@@ -507,6 +507,7 @@ class CRayCaster:
             solid = _solid_groups(query.transparent)
             far, facing, is_right = self._pairs.nearest(*rays, slots, solid, query.max_distance)
             met = (far <= query.max_distance) & is_right[:, None]
+            # Robots that may see geoms of other kinds are cast one by one below.
             distance[met], left = far[met], ~is_right
             if query.incidence:
                 cosine[met] = facing[met]
@@ -571,6 +572,7 @@ class CRayCaster:
                 groups[:] = shown[i]
             if end - first < few:
                 for ray in range(first, end):
+                    # In the call below, 1 includes static geoms and -1 excludes no body.
                     out = geom[ray : ray + 1], normal[ray]
                     distance[ray] = mujoco.mj_ray(model, data, start[ray], along[ray], solid, 1, -1, *out)
                 continue
@@ -609,6 +611,7 @@ class CRayCaster:
             Geoms that any ray may meet (n,), and whether those of each origin may meet them (origins, n).
         """
         firsts, rays = bounds[:-1], bounds[1:] - bounds[:-1]
+        # From the first origin: squares of coordinates far from the world's origin would cancel below.
         point = start[firsts] - start[0]
         middle, bound = self._data.geom_xpos - start[0], self._model.geom_rbound
         out = _dot(point, point)[:, None]
