@@ -6,18 +6,18 @@ from functools import lru_cache
 import jax
 import numpy as np
 
-from benchmarks.fidelity.track import START, Ground, Order, Track
+from benchmarks.fidelity.track import Ground, Order, Track
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import EngineError
 from usarmjx.models.compile.compose import LOOSE_PREFIX
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.compile.standing import stance_of, standing_height
+from usarmjx.models.compile.standing import stance_of
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.batch import Batch, put_robot
 from usarmjx.sim.calibration import ensure_calibrated
 from usarmjx.sim.control import CommandUpdate, idle_command, set_drive, update_command
-from usarmjx.sim.scene import build_scene, start_height
+from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
 
 REFERENCE = Physics()
@@ -63,11 +63,14 @@ class SingleTrack(Track):
 
     def __init__(self, physics: Physics, robot: RobotSpec, ground: Ground = OPEN) -> None:
         super().__init__(robot, physics.period)
-        arena = ground.arena(robot)
-        self.world = SingleWorld(build_scene(arena, [], physics), seats=len(ground.poses))
-        # The world raises what begins in its floor.
-        for i, place in enumerate(ground.places(start_height(arena, START, robot) + 0.01)):
-            self.world.add(robot, f"robot{i}", [place])
+        self.world = SingleWorld(build_scene(ground.arena(robot), [], physics), seats=len(ground.poses))
+        stance = stance_of(robot)
+        for i, (pos, quat) in enumerate(ground.places(stance.height)):
+            slot = self.world.add(robot, f"robot{i}", [(pos, quat)])
+            group, member = self.world.scene.group_of(slot)
+            index = self.world.scene.groups[group].indices[member]
+            # The world raises and moves what has no room, as wheels that stand on a slope: back to the place.
+            self.world.engine.place(index, np.array(pos), stance.tilted(quat))
 
     def tell(self, order: Order, slot: int = 0) -> None:
         """Give a robot an order."""
@@ -130,9 +133,10 @@ class BatchTrack(Track):
     def __init__(self, conditions: Conditions, robot: RobotSpec, ground: Ground = OPEN) -> None:
         super().__init__(robot, conditions.physics.period)
         blind = replace(robot, sensors=(), cameras=())
-        arena, places = ground.arena(robot), ground.places(standing_height(robot))
+        stance = stance_of(robot)
+        arena, places = ground.arena(robot), ground.places(stance.height)
         self._batch = _batch(conditions.physics, conditions.engine, blind, arena, len(places))
-        self._state, stance = self._batch.reset(), stance_of(robot)
+        self._state = self._batch.reset()
         for slot, (pos, quat) in enumerate(places):
             args = np.array(pos, np.float32), stance.tilted(quat)
             self._state = put_robot(self._batch, self._state, 0, slot, *args)

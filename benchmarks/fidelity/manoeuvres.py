@@ -106,6 +106,8 @@ RAMP = Shape(
 )
 GAP = 1.0
 """How far ahead of a robot a wall, a board, a block or half of the way to the other robot is [m]."""
+LEAST_GAP = 0.05
+"""From the robot to a wall beside its way, at the start [m]."""
 SHARE = 0.4
 """Share of the straight order at which robots meet with things."""
 LENGTH = 1.0
@@ -184,10 +186,11 @@ def wall(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
 
 def oblique_wall(conditions: Conditions, robot: RobotSpec, orders: Orders) -> float:
     """Way in 5 s against a wall that stands 30 degrees from its way [m]."""
-    x = _ahead(robot)
-    block = Shape(
-        kind="box", size=(10.0, 0.1, 2.0), at=(x, 0.0, 0.0), rotation=(0.0, 0.0, math.radians(30.0))
-    )
+    x, angle, half = _ahead(robot), math.radians(30.0), 0.1
+    # A car is so wide that the wall would be where it begins: its corner meets the wall first.
+    front, side = bounding_box(robot)[1][:2]
+    x = max(x, float(front) + (float(side) * math.cos(angle) + half + LEAST_GAP) / math.sin(angle))
+    block = Shape(kind="box", size=(10.0, half, 2.0), at=(x, 0.0, 0.0), rotation=(0.0, 0.0, angle))
     track = conditions.track(robot, Ground((block,)))
     track.tell(_slowly(orders))
     track.run(5.0)

@@ -4,6 +4,8 @@ import json
 import math
 from dataclasses import replace
 
+import mujoco
+import numpy as np
 import pytest
 
 from benchmarks.cases import RecordOptions, ScorecardCase
@@ -13,7 +15,9 @@ from benchmarks.fidelity.manoeuvres import (
     flipper_lift,
     gripper_hold,
     manoeuvres_on,
+    oblique_wall,
     push,
+    ramp_hold,
     speed,
     spin,
     stop,
@@ -107,6 +111,33 @@ def test_a_batch_of_one_drives_and_pushes_as_a_single_world(monkeypatch):
     assert [drive(Conditions(), P2AT, orders) for drive in (top_speed, push)] == pytest.approx(
         alone, abs=5e-3
     )
+
+
+class Started(Exception):
+    """A manoeuvre has put its robots in place, and nothing has moved yet."""
+
+
+@pytest.mark.every_run("ramp_hold-Cooper", "oblique_wall-Cooper")
+@pytest.mark.parametrize("name", ["Cooper", "Hummer", "Sedan", "SnowStorm", "P2AT", "Talon"])
+@pytest.mark.parametrize("manoeuvre", [ramp_hold, oblique_wall])
+def test_every_engine_begins_at_the_same_place_in_which_there_is_room(name, manoeuvre, monkeypatch):
+    """Within single precision of a metre, 1e-6 m; the weight presses wheels in by 0.5 mm at most."""
+    robot, tracks = ROBOTS.get(name), []
+
+    def note(track, steps):
+        tracks.append(track)
+        raise Started
+
+    for kind in (SingleTrack, BatchTrack):
+        monkeypatch.setattr(kind, "advance", note)
+    for condition in (Conditions(), Conditions(engine="planar")):
+        with pytest.raises(Started):
+            manoeuvre(condition, robot, orders_of(robot))
+    single, batch = tracks
+    np.testing.assert_allclose(single.root(), batch.root(), atol=1e-6)
+    engine = single.world.engine
+    mujoco.mj_forward(engine.model, engine.data)
+    assert min(contact.dist for contact in engine.data.contact[: engine.data.ncon]) > -5e-4
 
 
 def test_the_card_of_an_engine_has_what_it_can_do_and_figures_of_data_sheets():
