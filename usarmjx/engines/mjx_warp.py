@@ -128,6 +128,7 @@ class SleepState:
         touching = (model.geom_contype | model.geom_conaffinity) != 0
         body = model.geom_bodyid
         self.geoms = np.flatnonzero(touching & np.isin(body, self.bodies))
+        # `bodies` rises, as it is a list of body numbers in order.
         self._owner = np.searchsorted(self.bodies, body[self.geoms])
         limbs = [model.geom(g).name.startswith(VICTIM_PREFIX) for g in range(model.ngeom)]
         # The arena is a mocap body, which no welding counts as the world's; what moves has a tree of joints.
@@ -322,6 +323,7 @@ def multi_step(count: int, one_step: Callable[[Any, Any], None]) -> Callable[[An
         for _ in range(count):
             one_step(model, data)
 
+    # MJX's own marshalling of arguments stays: only the function that it calls is another one.
     shim = with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
     call = with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
     step = custom_vmap(ffi.marshal_jax_warp_callable(call))
@@ -458,6 +460,7 @@ class WarpEngine(MjxEngine):
                 # Without a weight a sleeping object has no force at all, and stays without contacts.
                 masses = jnp.broadcast_to(masses, (self.worlds, self.model.nbody))
                 masses = masses.at[:, self._sleep.bodies].multiply(awake)
+            # MuJoCo applies these forces at a body's centre of mass, where weight acts.
             weight = masses[..., None] * jnp.asarray(self.model.opt.gravity, jnp.float32)
             inputs = inputs.replace(xfrc_applied=jnp.asarray(inputs.xfrc_applied).at[..., :3].add(weight))
         return super().advance(engine_state, inputs)

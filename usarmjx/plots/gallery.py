@@ -84,6 +84,7 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
     looks = geom_colors_of(scene)
     # Only light: C MuJoCo casts the rays at its own geoms.
     light = lit_scene(Geoms(blocks=(), kinds=(), materials=()), looks.appearance, DEFAULT_LIGHTING)
+    # Nothing is compiled: a sheet of all classes has as many models as pictures.
     sight = CCameraRays(scene.model, data, looks)
     return downsample(np.asarray(sight.render(light, viewpoint, 2 * width, 2 * height).rgb) / 255)
 

@@ -77,6 +77,7 @@ def satellite_directions() -> np.ndarray:
     with the golden angle between bearings. This is our own; the original followed the orbits of real
     satellites.
     """
+    # Half a step in: no satellite stands exactly at the mask or in the zenith.
     index = np.arange(MAX_SATELLITES) + 0.5
     up = math.sin(ELEVATION_MASK) + (1 - math.sin(ELEVATION_MASK)) * index / MAX_SATELLITES
     bearing = math.pi * (3 - math.sqrt(5)) * index

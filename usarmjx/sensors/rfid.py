@@ -224,6 +224,7 @@ class Rfid(Sensor):
         read = reached & ~memory.answered[here]
         offset = xp.where(read[..., None], tags.pos - pos, 0.0)
         position = (offset[..., None] * mat).sum(-2)  # in the sensor's axes
+        # IDs are whole numbers, exact in single precision up to 2^24.
         row = xp.stack([read.astype(xp.float32), xp.where(read, tags.id, 0).astype(xp.float32)], -1)
         lines = None
         if self.has_overlay:

@@ -62,6 +62,7 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
         linear_rgb(mesh.rgb).astype("<f4"),
         mesh.faces.astype("<u4").reshape(-1),
     ]
+    # All numbers have 4 bytes, so each block begins where glTF allows it: at a multiple of 4.
     offsets = np.cumsum([0, *(block.nbytes for block in blocks)]).tolist()
     views = [
         {
@@ -180,6 +181,7 @@ def join(meshes: list[TriangleMesh]) -> TriangleMesh:
     if not meshes:
         nothing = np.zeros((0, 3))
         return TriangleMesh(nothing, nothing, nothing, np.zeros((0, 3), int))
+    # Indices of corners count anew in each mesh.
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return TriangleMesh(
         *(np.concatenate([mesh[field] for mesh in meshes]) for field in range(3)),

@@ -719,6 +719,7 @@ class ViewerPage:
             viewer = self.viewers.get(event.client_id)
             if viewer is None:
                 return
+            # The ray is in the stage's coordinates, frames are in the world's.
             start = np.array(event.ray_origin) - self._cell.offset
             robot = robot_on_ray(self.drawing, self.frame, start, np.array(event.ray_direction))
             if robot is None:

@@ -137,6 +137,7 @@ class DrivePad:
 
     def hold(self, name: str, now: float) -> None:
         """Record that a direction is held down at a time [s]."""
+        # With its time: a direction lapses when no message confirms it.
         self._held[name] = now
         self._send(now)
 

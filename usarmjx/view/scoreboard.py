@@ -187,6 +187,7 @@ class MissionLog:
 
     def update(self, drawing: Drawing, frame: Frame, facts: BoardFacts) -> None:
         """Take the present frame; a time before the last one begins anew."""
+        # A reset, or a seek in a recording.
         if frame.time < self._time:
             self.events.clear()
             self.found.clear()

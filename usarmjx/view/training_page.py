@@ -97,6 +97,7 @@ class TrainingPage:
 
     def show(self, state: BatchState) -> None:
         """Show the worlds, if a user watches and the page has not used its share of time."""
+        # The first page is made at once: before it exists nobody can watch it.
         if self._page is not None and (self._now() < self._due or not self._page.is_watched):
             return
         jax.block_until_ready(state.worlds.step)  # time of the device's pending work is not the page's

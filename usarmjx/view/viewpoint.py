@@ -301,6 +301,7 @@ class Viewer:
 
     def attach_next(self, drawing: Drawing, frame: Frame, step: int = 1) -> None:
         """Attach to the next robot, or to the previous one; the first follows the last."""
+        # Robots that have left stay in the drawing until the next one.
         slots = sorted(drawing.robots.keys() & frame.robots.keys())
         if not slots:
             self.attach(None)
@@ -435,6 +436,7 @@ def _heading_of(robot: DrawnRobot, frame: Frame) -> np.ndarray:
     """Return the level unit vector of a robot's heading (3,)."""
     ahead = _turn(frame, robot.body)[:, 0] * [1.0, 1.0, 0.0]
     norm = float(np.linalg.norm(ahead))
+    # A robot that stands on its nose has no heading.
     return ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
 
 

@@ -173,6 +173,7 @@ class Ball:
         along = slip[0] * x + slip[1] * y
         slip = slip[0] - along * x, slip[1] - along * y, slip[2]
         size = jnp.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 + 1e-12)
+        # Coulomb's limit, and no more than what stops the slip: the impulse slows it and turns it at once.
         grip = jnp.minimum(others.friction[which] * impulse, size / (1.0 + SPIN))
         rub = tuple(-grip * part / size for part in slip)
         torque = cross(back, rub)
@@ -299,6 +300,7 @@ def _pair_friction(model: mujoco.MjModel, one: int, other: int) -> float:
     if not (masks[0][one] & masks[1][other] or masks[0][other] & masks[1][one]):
         return -1.0
     friction, rank = model.geom_friction[:, 0], model.geom_priority
+    # MuJoCo takes the friction of the geom of higher priority, and of equal ones the larger.
     if rank[one] != rank[other]:
         return float(friction[one if rank[one] > rank[other] else other])
     return float(max(friction[one], friction[other]))

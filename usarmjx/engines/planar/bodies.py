@@ -368,6 +368,7 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     for robot, _ in robots:
         check_robot(robot)
     chassis = np.array([index.body_ids[0] for _, index in robots], int)
+    # Reshaped, as without robots the array has one axis only.
     boxes = np.array([footprint_box(robot) for robot, _ in robots]).reshape(-1, 2, 3)
     turn = np.zeros((len(chassis), 9))
     for row, body in zip(turn, chassis, strict=True):

@@ -83,6 +83,7 @@ class RollingWheels:
 def _solve3(a: Array, b: Array) -> Array:
     """Solve 3 x 3 systems (n, 3, 3), (n, 3) by cross products, without a batched factorisation."""
     rows = [jnp.cross(a[:, 1], a[:, 2]), jnp.cross(a[:, 2], a[:, 0]), jnp.cross(a[:, 0], a[:, 1])]
+    # The triple product; cross products of rows are the columns of the inverse, times it.
     det = (a[:, 0] * rows[0]).sum(-1, keepdims=True)
     return sum(b[:, i : i + 1] * rows[i] for i in range(3)) / det
 
@@ -116,6 +117,7 @@ class SideWheels:
     def wheel_speeds(self, joints: Array, twist: Array) -> Array:
         """Return the wheel speeds (robots, wheels) for a twist; see `RollingWheels.wheel_speeds`."""
         del joints
+        # Left wheels come first in `spin`.
         side = np.repeat([-1.0, 1.0], [self.left, len(self.spin) - self.left])
         rim = twist[:, :1] + side * twist[:, 2:] * self.track / 2
         return rim * self.ratio / self.radius

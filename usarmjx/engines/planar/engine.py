@@ -98,6 +98,7 @@ def _separate_on_warp(proposed: ProposedMotion, neighbors: NeighborList) -> tupl
 @warp_function
 def _kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return the kernel for worlds of `robots` robots."""
+    # Here, as Warp belongs to an extra.
     import warp as wp
 
     from usarmjx.engines.planar.warp_separation import block_threads_for, separation_kernel

@@ -103,6 +103,7 @@ class Signs:
                 fan_rgb.append(np.tile(colour, (len(fans[-1]), 1)))
         rings, ring_rgb = self._rings(frame)
         trail, trail_rgb = self._trail(frame)
+        # An empty first part: a frame may have neither dots nor trails.
         points = np.concatenate([np.zeros((0, 3)), *dots, *trail])
         rgb = np.concatenate([np.zeros((0, 3)), *dot_rgb, *trail_rgb])
         return [

@@ -137,6 +137,7 @@ def _rows(
     top = np.clip(np.ceil(xy[..., 1].min(1) - 0.5), 0, height).astype(int)
     bottom = np.clip(np.ceil(xy[..., 1].max(1) - 0.5), 0, height).astype(int)
     count = np.maximum(bottom - top, 0)
+    # Of each row its triangle.
     which = np.repeat(np.arange(len(xy)), count)
     y = top[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
     middle = y + 0.5
@@ -207,6 +208,7 @@ def clip_near(corners: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.n
 
 def _cut(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the points of segments (n, 3) at the distance `NEAR`."""
+    # Never 0 / 0: the two ends lie on different sides of the plane.
     share = (NEAR - one[:, 2]) / (other[:, 2] - one[:, 2])
     return one + share[:, None] * (other - one)
 

@@ -151,6 +151,7 @@ def _chart(u: Array, v: Array, number: Array) -> Array:
         ahead = u * xp.cos(turn) + v * xp.sin(turn)
         aside = v * xp.cos(turn) - u * xp.sin(turn)
         gap = (ahead > 0) & (xp.abs(aside) < outer / 5)
+        # A stroke is a fifth of the diameter: the ring ends at three fifths of its outer radius.
         dark |= (radius <= outer) & (radius >= 0.6 * outer) & ~gap
     return xp.where(dark, BLACK, WHITE)
 
@@ -574,6 +575,7 @@ def _lit(render_scene: RenderScene, caster: Caster, surface: _Surface, *, shadow
 def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: Darkness | None) -> Array:
     """Return the light of the sun, or of the brightest lamp at each surface (3, rays)."""
     sun, lights = xp.asarray(render_scene.sun_direction), render_scene.lights
+    # A face turned away from the light gets none, where the product would be negative.
     facing = xp.maximum(_dot(surface.normal, sun), 0.0)
     best = DIFFUSE * 3 * day * facing  # of all three colours together
     colour = xp.broadcast_to(xp.ones((3, 1)) / 3, surface.point.shape)

@@ -416,6 +416,7 @@ def _launch(
     casts, count = rays[0].shape[:2]
     bundles = -(-count // MAX_BUNDLE)
     dims = {"output_dims": casts * count, "launch_dims": casts * bundles * MAX_BUNDLE}
+    # Beyond it indices of 32 bits would overflow in the kernel, silently.
     if dims["launch_dims"] > MAX_THREADS:
         raise UsageError(
             f"{casts:,} pictures of {count:,} rays each need {dims['launch_dims']:,} threads of a GPU at "

@@ -117,6 +117,7 @@ def surface_at(
     point = start + reach * along
     inside = local(r0, r1, r2, point - xyz(pos))
     facing = normal_of(kind, inside, size)
+    # Back to the world's axes: the rows of the orientation, where `local` takes its columns.
     normal = wp.vec3(wp.dot(xyz(r0), facing), wp.dot(xyz(r1), facing), wp.dot(xyz(r2), facing))
     # As `targets.normals`: surfaces seen from inside face the other way.
     if wp.dot(normal, along) > 0.0:

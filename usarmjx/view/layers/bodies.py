@@ -154,6 +154,7 @@ class ReadingPoses:
 def box() -> tuple[np.ndarray, np.ndarray]:
     """Return corners (8, 3) and triangles (12, 3) of a cube of side 2 about the origin."""
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    # Corners of each side counter-clockwise from outside, which is where a browser sees a face.
     quads = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
     return corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
@@ -248,5 +249,6 @@ class CameraLayer(NodeLayer):
             turn = np.asarray(mat_from_quat(frame.quat[body]))
         pos = frame.pos[body] + np.einsum("nij,nj->ni", turn, at)
         edges = pos[:, None, None] + np.einsum("nij,nklj->nkli", turn @ local, view_lines(fov))
+        # Eight lines for each camera: four edges and the four sides of its picture.
         rgb = np.repeat(robot_colors(np.array([slot for slot, _, _ in there], int)), 8, axis=0)
         self._lines.set(edges.reshape(-1, 2, 3), rgb)

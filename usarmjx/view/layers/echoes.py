@@ -134,6 +134,7 @@ def sound_cone(angle: float) -> tuple[np.ndarray, np.ndarray]:
         else:
             faces.append(np.stack([outer + this, outer + following, inner + following], -1))
             faces.append(np.stack([outer + this, inner + following, inner + this], -1))
+    # The middle of the cap, on the axis.
     corners.append(np.array([[1.0, 0.0, 0.0]]))
     last = 1 + (CAP_RINGS - 1) * CONE_SIDES
     faces.append(np.stack([last + this, last + following, np.full(CONE_SIDES, last + CONE_SIDES)], -1))
@@ -169,6 +170,7 @@ class SonarLayer(NodeLayer):
         for same, node in self._cones:
             # A scale of 0 would send a cone that no one sees.
             rows = same[ranges[same] > 0]
+            # A cone of length 1, scaled to the range.
             node.set(self._held.pos[rows], self._held.quat[rows], ranges[rows], self._rgb[rows])
 
 

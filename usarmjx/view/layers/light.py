@@ -64,6 +64,7 @@ class SkyLayer(NodeLayer):
         """Light the arena."""
         low, high = np.asarray(drawing.extent, float).T
         self._middle = np.array([*(low + high) / 2, drawing.floor])
+        # The circle around the arena's rectangle.
         self._radius = float(np.linalg.norm(high - low)) / 2 + SPOT_MARGIN
         self._indoors = self.alone and bool((np.asarray(drawing.lamp_rgb) > 0).any())
         if self._on:
@@ -132,6 +133,7 @@ class SkyLayer(NodeLayer):
         for name in ("sky", "sun"):
             self.scene.remove_by_name(f"{self.root}/{name}")
         self.scene.configure_default_lights(enabled=True, cast_shadow=False)
+        # Viser's own default.
         self.scene.configure_environment_map("warehouse")
         self.scene.set_background_image(None)
 

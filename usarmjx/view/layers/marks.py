@@ -156,6 +156,7 @@ def split_sketches(sketches: Sequence[OverlayLines]) -> tuple[np.ndarray, ...]:
         )
         for name in ("start", "end", "rgb")
     )
+    # Clipped: a negative number would wrap around to a bright byte.
     colors = (np.clip(rgb, 0.0, 1.0) * 255).astype(np.uint8)
     # Overlays have one form for both: a line of no length is a point.
     is_point = (start == end).all(-1)
@@ -296,6 +297,7 @@ class RingLayer(NodeLayer):
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Move each ring to its robot."""
+        # Sorted, so that an instance keeps its robot from update to update.
         slots = np.array(sorted(frame.robots), int)
         robots = [frame.robots[slot] for slot in slots.tolist()]
         size = np.array([drawing.robots[slot].dimensions for slot in slots.tolist()]).reshape(-1, 3)
