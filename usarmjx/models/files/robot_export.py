@@ -69,6 +69,7 @@ def add_pose(parent: ET.Element, pose: Pose) -> None:
 def ellipsoid_corners(radii: np.ndarray) -> np.ndarray:
     """Return corners on an ellipsoid (n, 3), its six ends among them."""
     turn = np.arange(ELLIPSOID_SIDES) * 2 * np.pi / ELLIPSOID_SIDES
+    # An odd number of rings: one of them is the equator, with four of the six ends.
     up = np.linspace(-np.pi / 2, np.pi / 2, ELLIPSOID_SIDES // 2 + 1)[:, None]
     x, y, z = np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up) + 0 * turn
     # Each pole comes once for every corner around it: rounding makes the copies equal.
@@ -205,6 +206,7 @@ class _ModelWriter:
 
     def _tensor(self, body: int) -> np.ndarray:
         """Return the moments of inertia xx, yy, zz, xy, xz, yz in the axes of the body (6,)."""
+        # MuJoCo has principal moments; URDF and SDF take six numbers in the link's axes.
         axes = mat_of(self._model.body_iquat[body])
         tensor = axes @ np.diag(self._model.body_inertia[body]) @ axes.T
         return np.array([tensor[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
@@ -277,6 +279,7 @@ class _ModelWriter:
         kind = "fixed"
         if moves:
             slides = model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE
+            # URDF has another type for hinges without limits, SDF gives those huge limits.
             kind = "prismatic" if slides else "revolute" if model.jnt_limited[number] else "continuous"
         joint = ET.SubElement(root, "joint", name=name, type=kind)
         ET.SubElement(joint, "parent", link=self._name(parent))
@@ -350,10 +353,10 @@ class _ModelWriter:
         if not moves:
             return
         axis = ET.SubElement(joint, "axis")
-        xyz = ET.SubElement(axis, "xyz")
-        xyz.text = text_of(model.jnt_axis[number])
+        add_child(axis, "xyz", model.jnt_axis[number])
         if (gear := self._gears.get(name)) is not None and gear.geared is not None:
-            mimic = ET.SubElement(xyz, "mimic", joint=gear.geared)
+            # libsdformat looks for it in the axis, and nowhere deeper.
+            mimic = ET.SubElement(axis, "mimic", joint=gear.geared)
             for tag, value in (
                 ("multiplier", gear.gear_ratio),
                 ("offset", gear.gear_offset),
