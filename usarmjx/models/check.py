@@ -285,6 +285,8 @@ def _overlap(one: StartPose, other: StartPose, length: float, width: float) -> b
         np.array([math.cos(p.yaw + t), math.sin(p.yaw + t)]) for p in (one, other) for t in (0, math.pi / 2)
     ]
     for axis in axes:
+        # Half the extents of both rectangles along the axis; they are apart where the way between them is
+        # longer.
         reach = sum(abs(half * (axis @ side)) for half, side in zip((length, width) * 2, axes, strict=True))
         if abs(way @ axis) >= reach:
             return False
@@ -382,6 +384,7 @@ class BodyProbe:
             if self._deepest(geom)[0] > MAX_DOOR_PENETRATION:
                 break
             angle += DOOR_STEP
+        # Closed again: the next door is tested with this one at rest.
         self._data.qpos[address] = 0.0
         mujoco.mj_kinematics(self._model, self._data)
         return min(angle, abs(limit))

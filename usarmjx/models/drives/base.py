@@ -108,6 +108,7 @@ class Drive(ABC):
     @property
     def applies_wrench(self) -> bool:
         """Whether it moves robots by a force on the chassis, as drives that fly or dive."""
+        # By the class: subclasses with an own `wrench` need no flag beside it, which could disagree.
         return type(self).wrench is not Drive.wrench
 
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
@@ -162,6 +163,7 @@ class Drive(ABC):
     @property
     def limits(self) -> np.ndarray:
         """Largest absolute value of each key (keys,)."""
+        # Single precision as on the device: NumPy's doubles would make the host's results differ from JAX's.
         return np.array(list(self.full_scale.values()), np.float32)
 
 

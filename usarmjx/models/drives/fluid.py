@@ -51,6 +51,7 @@ def added_mass(radii: Vec3) -> tuple[np.ndarray, np.ndarray]:
         them (3,): k1, k2 and k' of Lamb's table (Hydrodynamics, 115) where two axes are equal.
     """
     factors, square = shape_factors(radii), np.square(radii)
+    # Lamb, Hydrodynamics, 114: added mass along an axis over the displaced mass.
     along = factors / (2 - factors)
     about = np.zeros(3)
     for axis in range(3):
@@ -172,7 +173,10 @@ class Hull:
             depth: Depth of their origins below the surface [m] (...,); None: they are wholly immersed.
         """
         mat = mat_from_quat(state.quat)
+        # The third row of the rotation is the world's vertical in body axes; MuJoCo's angular velocity is in
+        # body axes already, its linear one in the world's.
         up, linear, angular = mat[..., 2, :], matvec(mat.mT, state.linear), state.angular
+        # A blimp is surrounded by its fluid at any height.
         share, middle = (1.0, np.zeros(3, np.float32)) if depth is None else self.immersion(depth, up)
         along, about = self.drag_factors
         mass, _ = self.effective_inertia(share)
@@ -280,6 +284,7 @@ class Underwater(Drive):
 
         At the steady speed (1 - slip) w thrust equals drag, which gives this ratio.
         """
+        # Thrust c (w^2 - u^2) equals drag k u^2 at u = (1 - slip) w.
         advance = (1 - self.slip) ** 2
         return float(self.hull.drag_factors[0][0]) * advance / (1 - advance)
 
@@ -384,6 +389,7 @@ class RotaryWing(Drive):
 
     def _drag(self, mat: Array, linear: Array) -> Array:
         """Return the drag of the air, world axes [N] (..., 3)."""
+        # Areas belong to the faces of the body, so the speed is taken along its axes.
         speed, areas = matvec(mat.mT, linear), np.array(self.drag_areas, np.float32)
         return matvec(mat, -AIR_DENSITY / 2 * areas * xp.abs(speed) * speed)
 
@@ -586,6 +592,7 @@ class Blimp(Drive):
         # Drag at the wanted speed is fed forward; a gain makes up for the rest within the response time.
         thrust = along * xp.abs(wanted) * wanted + mass / self.response * (wanted - linear)
         thrust = thrust + xp.cross(state.angular, mass * linear)  # Coriolis force of the turn
+        # The bar lies in the x-z plane: its thrusters cannot push sideways.
         thrust = thrust * np.array([1.0, 0.0, 1.0])
         thrust = thrust * (self.max_thrust / xp.maximum(_length(thrust), self.max_thrust))
         aside = np.array([0.0, 1.0, 0.0], np.float32) * mass / self.leeway

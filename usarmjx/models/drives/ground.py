@@ -113,6 +113,7 @@ class Ackermann(Drive):
         # All alike, so that the turning centre stays where it is.
         spin = spin * (self.max_spin / xp.maximum(fastest, self.max_spin))
         ahead, left = self._heading(steered, front, rear)
+        # A torque of 0 while they roll, a speed of 0 while they are held: the same number in both modes.
         still = xp.zeros((*spin.shape[:-1], sum(map(_only_brakes, self.wheels))), spin.dtype)
         return xp.concatenate([spin, still, xp.arctan2(left, ahead)], -1)
 
@@ -302,6 +303,7 @@ class SkidSteer(Drive):
             # A NaN on one side must not spread to the other.
             over = xp.where(xp.isfinite(over), (over - self.turning(over)) / 2, 0.0)
             setpoint = xp.stack([setpoint[..., 0] + over, setpoint[..., 1] - over], -1)
+        # A constant index: NumPy makes it at trace time, and XLA sees one gather.
         return setpoint[..., np.repeat([0, 1], [len(self.left), len(self.right)])]
 
     @property
@@ -313,6 +315,8 @@ class SkidSteer(Drive):
         """Return the commanded difference of speeds, right less left, within `max_turn` [rad/s] (...,)."""
         if not self.limits_turning:
             return difference
+        # The sides of a robot of that lever differ by turning rate times lever over ground, and by that over
+        # the radius in rad/s.
         most = self.max_turn * self.lever / self.radius
         return xp.clip(difference, -most, most)
 

@@ -53,6 +53,7 @@ class RfidReleaser(Effecter):
         """Return the effect; a release without tags left is impossible."""
         del value
         if opcode == RELEASE:
+            # `possible` masks the rest: a stock of -1 is never stored. A branch would not trace.
             return Effect(stock=stock - 1, drops=True, possible=stock > 0)
         if opcode == TAGS_REMAINING:
             return Effect(reply_number=stock)

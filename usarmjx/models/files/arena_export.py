@@ -164,6 +164,8 @@ def _victims(arena: ArenaSpec) -> Iterator[tuple[Pose, Shape]]:
 
 def _weight(model: mujoco.MjModel, name: str) -> Weight:
     body = model.body(name).id
+    # MuJoCo keeps the principal moments and the turn of their axes; URDF and SDF want six numbers in the
+    # link's axes.
     axes = mat_of(model.body_iquat[body])
     tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
     return Weight(float(model.body_mass[body]), np.array(model.body_ipos[body]), tensor)
@@ -295,6 +297,7 @@ def _forms(
     elif shape.kind in ("cylinder", "capsule"):
         yield where, "cylinder", {"radius": text_of(size[0]), "length": text_of(2 * size[1])}
         for end in (1, -1) if shape.kind == "capsule" else ():
+            # A cylinder's axis is its z, the third column of its orientation.
             tip = Pose(where.pos + where.mat[:, 2] * end * size[1], where.mat)
             yield tip, "sphere", {"radius": text_of(size[0])}
     else:
@@ -342,12 +345,15 @@ def _add_floor(world: ET.Element) -> None:
 
 def _add_lamp(world: ET.Element, name: str, light: Light) -> None:
     """Add a point light, of which the brightness is that at 1 m."""
+    # A light of ours falls with the square of the distance and counts at 1 m: quadratic 1, constant and
+    # linear 0.
     lamp = ET.SubElement(world, "light", name=name, type="point")
     add_child(lamp, "pose", (*light.at, 0, 0, 0))
     # Colours end at 1 there: what is beyond goes into the intensity.
     add_child(lamp, "diffuse", (*np.array(light.rgb) / max(*light.rgb, 1e-9), 1))
     add_child(lamp, "intensity", light.brightness * max(light.rgb))
     attenuation = ET.SubElement(lamp, "attenuation")
+    # SDF's default is constant 1, which would halve the light at 1 m.
     for tag, value in (("range", LAMP_RANGE), ("constant", 0), ("linear", 0), ("quadratic", 1)):
         add_child(attenuation, tag, value)
 
@@ -425,6 +431,7 @@ def export_arena(arena: ArenaSpec, path: Path) -> ExportResult:
         return ExportResult(files=(path,), notes=())
     links, meshes = arena_links(arena), MeshFiles(path)
     root = (sdf_of if form == "sdf" else urdf_of)(arena, links, meshes)
+    # Without a DTD, white space between elements has no meaning in URDF and SDF; people compare such files.
     ET.indent(root)
     write_file(path, ET.tostring(root, encoding="utf-8", xml_declaration=True))
     notes = (*lost_content(arena), *_coarser(arena, links, form))

@@ -93,6 +93,7 @@ def corners_of(shape: Shape) -> np.ndarray:
         points = np.asarray(shape.mesh.vertices, float)
     elif shape.heights is not None:
         x, y, base = shape.size
+        # The box goes from the bottom of the base, which lies below z = 0, to the highest point.
         high = float(np.max(shape.heights.heights))
         points = np.array([[a * x, b * y, c] for a in (-1, 1) for b in (-1, 1) for c in (-base, high)])
     else:
@@ -106,6 +107,7 @@ def surface_of(shape: Shape) -> str:
     """Return the default surface of a solid: "wall" if it stands upright, else "ground"."""
     low, high = corners_of(shape)
     length, width, height = high - low
+    # The last element of the matrix is the cosine between the solid's z axis and the vertical.
     upright = mat_from_angles(*np.array(shape.rotation))[2, 2] > np.cos(UPRIGHT_TOLERANCE)
     return "wall" if upright and height >= MIN_WALL_HEIGHT and min(length, width) < height else "ground"
 
@@ -147,6 +149,7 @@ def extent_of(shapes: Sequence[Shape], loose: Sequence[LooseObject] = ()) -> Rec
 
 
 def _around(points: np.ndarray) -> Rectangle:
+    # Rounded to a micrometre: rotations leave digits that no file needs to show.
     (x0, y0), (x1, y1) = points.min(0).round(6).tolist(), points.max(0).round(6).tolist()
     return ((x0, x1), (y0, y1))
 
@@ -166,6 +169,7 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
     layers, i, j = np.nonzero(found.area >= 0)
     if not len(layers):
         return None
+    # Areas have numbers from 0; cells that no robot can stand on have -1, which `bincount` would refuse.
     areas = found.area[layers, i, j]
     x = found.grid.low[0] + (i + 0.5) * found.grid.cell
     y = found.grid.low[1] + (j + 0.5) * found.grid.cell

@@ -54,11 +54,13 @@ def register_robot_file(path: Path) -> RobotSpec:
         SpecError: An unreadable file.
         UsageError: Its robot has the name of another robot.
     """
+    # Imported here: the readers of all formats are slow to import, and registered robots need none of them.
     from usarmjx.models.files.robot_file import load_robot
 
     check_robot_file(path)
     # The robot depends on all of these: the file and the folders of its parts may change.
     key = path.resolve(), path.stat().st_mtime_ns, search_path(), mesh_pieces()
+    # The registry may have another robot of that name by now, from another file.
     known = _loaded.get(key)
     if known is not None and ROBOTS.find(known.name) is known:
         return known
@@ -71,6 +73,7 @@ def register_robot_file(path: Path) -> RobotSpec:
         )
     for note in loaded.notes:
         logger.warning("%s", note)
+    # Not `add`, which refuses a name that is in use: a changed file is loaded again under its name.
     ROBOTS.replace(robot.name, robot)
     _loaded[key] = robot
     return robot

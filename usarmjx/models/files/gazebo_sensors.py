@@ -149,6 +149,7 @@ def _noise(ray: LinedElement, sensor: LinedElement, source: RobotSource, reach: 
     deviation = ray.number("noise/stddev", 0.0)
     if deviation <= 0:
         return (("Noise", 0.0),)
+    # Small at short distances and large at long ones: no share fits a constant length everywhere.
     share = deviation / (reach / 2)
     source.notes.append(
         f"{sensor.place}: noise of {deviation:g} m at any distance becomes {share:.2g} of the distance: "
@@ -165,6 +166,7 @@ def _sonar(sensor: LinedElement, source: RobotSource) -> Found:
     low, high, radius = (
         sonar.number(key, usual) for key, usual in (("min", 0.1), ("max", 5.0), ("radius", 0.5))
     )
+    # SDF gives the cone by its radius at the largest distance; the beam's angle is the whole one.
     angle = min(2 * math.atan2(radius, max(high, 1e-3)), math.pi)
     # Its cone opens along z.
     turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -175,6 +177,7 @@ def _camera(sensor: LinedElement, source: RobotSource) -> Found:
     del source
     field = sensor.number("camera/horizontal_fov", 1.047)
     field = min(max(field, MIN_CAMERA_FOV), MAX_CAMERA_FOV)
+    # Gazebo's cameras do not zoom: the lowest and the highest field are the same.
     options = (("CameraDefFov", field), ("CameraMinFov", field), ("CameraMaxFov", field))
     return "Camera", options, np.eye(3)
 
@@ -204,6 +207,7 @@ SENSOR_READERS: dict[str, Callable[[LinedElement, RobotSource], Found]] = {
 
 def _turn(yaw: float, up: float) -> np.ndarray:
     """Return a rotation to the left and then upwards (3, 3)."""
+    # Pitch is positive downwards in SDF, as z points up and y to the left.
     return pose_of(np.array([0.0, 0.0, 0.0, 0.0, -up, yaw])).mat
 
 
@@ -235,6 +239,7 @@ def _number(plugin: LinedElement, *tags: str, default: float = 0.0) -> float:
 
 
 def _wheel_radius(plugin: LinedElement) -> float:
+    # Classic plugins state a diameter, gz-sim's a radius.
     radius = _number(plugin, "wheel_radius", "wheelRadius")
     return radius or _number(plugin, "wheelDiameter", "wheel_diameter") / 2
 
@@ -251,6 +256,7 @@ def _skid_plugin(plugin: LinedElement, source: RobotSource) -> StatedDrive:
         "back_left_joint",
         "rear_left_joint",
     )
+    # Plugins of ROS 1, Gazebo Classic and gz-sim each have names of their own for the same joints.
     right = tuple(name.replace("left", "right").replace("Left", "Right") for name in left)
     return StatedDrive(
         kind="skid",

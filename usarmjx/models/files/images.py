@@ -49,6 +49,7 @@ def read_heights(path: Path, height: float) -> np.ndarray:
         )
     if min(pixels.shape) < 2:
         raise ArenaFileError(f"{path}: a terrain has at least 2 x 2 heights")
+    # Images count rows from the top, terrain from the lowest y.
     return pixels[::-1].astype(float) / WHITE_BY_MODE[mode] * height
 
 
@@ -96,6 +97,7 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     pixels = pixels[::-1].astype(float) * (255 / WHITE_BY_MODE.get(mode, 255))
     if pixels.ndim == 2:
         return pixels, np.ones(pixels.shape, bool)
+    # The alpha channel is no brightness: it stays out of the mean.
     clear = mode in ("LA", "RGBA")
     grey: np.ndarray = pixels[..., :-1].mean(-1) if clear else pixels.mean(-1)
     opaque: np.ndarray = pixels[..., -1] == 255 if clear else np.ones(grey.shape, bool)
@@ -123,8 +125,10 @@ def _read_image(path: Path, most: int) -> tuple[str, np.ndarray, str]:
         with Image.open(path, formats=FORMATS) as image:
             width, height = image.size
             form = image.format or ""
+            # `Image.open` reads the head only: a bomb is refused before its pixels are decompressed.
             if width * height > most:
                 raise ArenaFileError(f"{path}: {width} x {height} pixels; at most {most} in all")
+            # Mode 1 has booleans and mode P numbers of a palette: neither is a grey value.
             if image.mode in ("1", "P"):
                 image = image.convert("L" if image.mode == "1" else "RGB")
             return image.mode, np.array(image), form

@@ -115,6 +115,7 @@ class _Files:
             }
         if isinstance(value, (tuple, list)):
             return [self.plain(item) for item in cast("Sequence[object]", value)]
+        # `yaml.safe_dump` refuses NumPy's scalars.
         return cast("Any", value).item() if isinstance(value, np.generic) else value
 
 
@@ -132,6 +133,7 @@ def _write_mesh(mesh: Mesh, path: Path, number: int) -> str | dict[str, str]:
     if mesh.faces is None:
         lines += _hull_lines(vertices)
     else:
+        # OBJ counts vertices from 1.
         lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     name = f"{path.stem}-mesh-{number}.obj"
     with atomic_write(path.parent / name) as fresh:

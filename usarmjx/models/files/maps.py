@@ -64,6 +64,7 @@ class GridFrame:
     def there(self, column: float, row: float) -> tuple[float, float]:
         """Return x and y of a point that is given in cells from the first corner."""
         x, y, yaw = self.origin
+        # The origin is the pose of the lower left corner, and cells turn about it, as in map_server.
         local = np.array([column * self.cell[0], row * self.cell[1], 0.0])
         dx, dy, _ = (mat_from_angles(0.0, 0.0, np.float64(yaw)) @ local).tolist()
         # Rounded to a nanometre, so that neighbouring boxes share their corners to the bit.
@@ -179,6 +180,7 @@ class _Sums:
 
     def _full(self, r0: int, r1: int, c0: int, c1: int) -> bool:
         sums = self._sums
+        # Sums over all cells above and left of a corner: four of them give any rectangle.
         inside = int(sums[r1, c1]) - int(sums[r0, c1]) - int(sums[r1, c0]) + int(sums[r0, c0])
         return inside == (r1 - r0) * (c1 - c0)
 
@@ -528,6 +530,7 @@ def read_grid_map(path: Path) -> GridMap:
             raise ArenaFileError(f"{path}:{number}: {len(line)} cells in the row, expected {width}")
     if len(rows) < height:
         raise ArenaFileError(f"{path}: ends after {len(rows)} of {height} rows")
+    # Latin-1 has a byte for each character: the array has the shape of the text.
     letters = np.frombuffer("".join(rows).encode("latin-1"), np.uint8).reshape(height, width)
     unknown = ~np.isin(letters, [ord(letter) for letter in FREE + WALLS + LOW])
     if unknown.any():
@@ -643,6 +646,7 @@ def _map_of(path: Path, line: int, words: list[str]) -> Path:
     """Return the map that a row names: at the path from the scenario's folder or above it, or by its name."""
     named = Path(words[1])
     folders = (path.parent, *path.resolve().parent.parents[:3])
+    # Scenarios name maps by the paths of MovingAI's own archive, which few people keep.
     tries = [folder / named for folder in folders] + [folder / named.name for folder in folders]
     own = path.with_name(path.name.removesuffix(".scen"))
     found = next((one for one in (*tries, own) if one.suffix.lower() == ".map" and one.is_file()), None)

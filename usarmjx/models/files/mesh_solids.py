@@ -72,6 +72,7 @@ def convex_parts(corners: np.ndarray) -> list[np.ndarray]:
 def signed_area(ring: np.ndarray) -> float:
     """Return the area of a polygon (n, 2) [m2], above zero if it is counter-clockwise."""
     x, y = ring.T
+    # The shoelace formula.
     return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
 
 
@@ -103,6 +104,7 @@ def _is_convex_polygon(ring: np.ndarray) -> bool:
     turns = [_cross(ring[i - 2], ring[i - 1], ring[i]) for i in range(len(ring))]
     if min(turns) < -FLAT:
         return False
+    # The turns alone do not show a star: each of its corners turns left as well.
     way = np.diff(np.vstack([ring, ring[:1]]), axis=0)
     angles = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
     return angles[-1] - angles[0] < 2 * np.pi  # a star turns several times
@@ -379,6 +381,7 @@ def round_about(vertices: np.ndarray, axis: np.ndarray, anchor: np.ndarray) -> R
     ordered = np.sort(angles)
     # Closed over the full turn: the last gap is from the last corner to the first.
     gaps = np.diff(np.append(ordered, ordered[0] + 2 * math.pi))
+    # A square has a rim of four corners at one radius: only enough of them all round make a circle.
     if len(ordered) < MIN_SIDES or gaps.max() > 2 * math.pi / MIN_SIDES + 1e-6:
         return None
     low, high = float(along.min()), float(along.max())
@@ -452,6 +455,7 @@ def _kept_pieces(
     for name, vertices, faces in objects:
         corners = vertices * np.asarray(scale)
         if centred and submesh:
+            # `<center>` of SDF puts the middle of the submesh's box at the origin.
             corners = corners - (corners.min(0) + corners.max(0)) / 2
         # A mirrored mesh has its faces inside out.
         if np.prod(scale) < 0:
@@ -496,6 +500,7 @@ def _parts(vertices: np.ndarray, faces: np.ndarray) -> list[Any]:
     """Return the connected parts of an object, all as one if they are many."""
     import trimesh
 
+    # Without trimesh's processing, which would also drop faces and reorder vertices.
     mesh: Any = trimesh.Trimesh(vertices, faces, process=False)
     # Facets of STL files share no corners: each would be a part by itself.
     mesh.merge_vertices()

@@ -190,6 +190,7 @@ def find_corrupt_facet(path: Path, data: bytes) -> str:
         return (
             f"facet {reach.argmax() + 1} has a corner {reach.max():.3g} m away, most are within {usual:.3g}"
         )
+    # Twice the area of the triangle long, along the side from which its corners run counter-clockwise.
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area, length = np.linalg.norm(normal, axis=1), np.linalg.norm(said, axis=1)
     if not area.all():
@@ -519,9 +520,11 @@ def _objects(path: Path) -> Iterator[MeshArrays]:
     if any(vertices.shape[1:] != (3,) or not np.isfinite(vertices).all() for _, vertices, _ in found):
         raise mesh_error(path, "vertices are three finite numbers each")
     for name, vertices, faces in found:
+        # Vertices without a face would be corners of the hull.
         used, indices = np.unique(faces, return_inverse=True)
         if used[0] < -len(vertices) or used[-1] >= len(vertices):
             raise mesh_error(path, f"faces have vertices {used[0]} to {used[-1]} of {len(vertices)}")
+        # NumPy 1 returns the inverse flat, NumPy 2.0 in the shape of the input.
         yield (name if len(found) > 1 else ""), vertices[used], indices.reshape(faces.shape)
 
 

@@ -179,6 +179,7 @@ def door_of(name: str, pose: Pose, half: np.ndarray, hinge: Hinge, mass: float, 
     flat = [i for i in range(3) if i != up]
     long = max(flat, key=lambda i: float(half[i]))
     thin = next(i for i in flat if i != long)
+    # In the plane only: the height of the anchor on its axis has no meaning.
     offset = pose.pos[:2] - hinge.anchor[:2]
     along = pose.mat[:2, long]
     reach, aside = float(along @ offset), float(pose.mat[:2, thin] @ offset)
@@ -325,6 +326,8 @@ def _mesh(model: mujoco.MjModel, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and faces of a mesh."""
     first, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
     start, faces = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
+    # MuJoCo keeps vertices in single precision, centred and turned to the mesh's principal axes, as the geom
+    # is.
     return model.mesh_vert[first : first + count].astype(float), model.mesh_face[start : start + faces]
 
 
@@ -551,6 +554,7 @@ class _MjcfReader:
         parts: list[Inertia] = []
         for member in self._members[body]:
             mat = frame.mat.T @ self._data.ximat[member].reshape(3, 3)
+            # The file's principal axes (`ximat`) in those of the moving body: parts add up in one frame only.
             tensor = mat @ np.diag(self._model.body_inertia[member]) @ mat.T
             centre = frame.mat.T @ (self._data.xipos[member] - frame.pos)
             parts.append(Inertia(float(self._model.body_mass[member]), centre, tensor))

@@ -47,6 +47,7 @@ class Pose:
 
 def mat_of(quat: np.ndarray) -> np.ndarray:
     """Return the rotation matrix (3, 3) of a w-first quaternion (4,)."""
+    # MuJoCo's functions write into a flat array of doubles.
     mat = np.zeros(9)
     mujoco.mju_quat2Mat(mat, quat)
     return mat.reshape(3, 3)
@@ -106,6 +107,7 @@ def geom_inertia(model: mujoco.MjModel, geom: int, frame: Pose, mass: float) -> 
     x, y, z = model.geom_size[geom]
     kind = mujoco.mjtGeom(model.geom_type[geom])
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        # Sizes are half lengths: the usual twelfth of whole ones squared is a third here.
         moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 3
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         moments = np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 5

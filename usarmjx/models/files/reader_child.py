@@ -74,6 +74,7 @@ def limit() -> None:
     with contextlib.suppress(OSError, ValueError):  # no such file, or a system that has not this limit
         with open("/proc/self/statm") as file:
             size = int(file.read().split()[0]) * resource.getpagesize()
+        # The soft limit alone: it can be raised again for the next file, the hard one cannot.
         _, most = resource.getrlimit(resource.RLIMIT_AS)
         wanted = size + MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (wanted if most < 0 else min(wanted, most), most))
@@ -247,6 +248,7 @@ def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
 def main() -> None:
     """Answer line by line, until no request comes for `IDLE` seconds."""
     sys.path[:] = SEARCH_PATH
+    # The answers keep the old standard output under another number.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # prints of the readers must not mix with answers
     # On Windows select works with sockets only: there the process waits until its input closes.

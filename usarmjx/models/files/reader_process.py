@@ -146,6 +146,7 @@ class ReaderProcess:
         child, self._child = self._child, None
         if child is not None and self._owner == os.getpid():
             child.kill()
+            # Closes the pipes and reaps the process.
             child.communicate()
 
     def _ask(self, request: bytes) -> tuple[dict[str, Any], bytes] | None:
@@ -156,6 +157,8 @@ class ReaderProcess:
             return {"error": f"the process that reads it does not start: {error}"}, b""
         assert child.stdin is not None
         assert child.stdout is not None
+        # A blocking read of a pipe has no timeout: the end of the process closes the pipe and thereby ends
+        # the read.
         late = threading.Timer(self._patience, child.kill)
         late.daemon = True
         late.start()
@@ -204,6 +207,7 @@ class ReaderProcess:
         """Return the reason why reading ended without an answer."""
         if timed_out:
             return f"reading it takes longer than {self._patience:g} s"
+        # Windows has neither signal: 0 there is an exit code that `_ask` has handled.
         if ended == -getattr(signal, "SIGXCPU", 0):
             return f"reading it takes more than {self._cpu_time} s of a processor"
         if ended == -getattr(signal, "SIGKILL", 0):

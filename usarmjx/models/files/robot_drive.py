@@ -435,6 +435,7 @@ def lowest_point_of_part(tree: BodyTree, owner: int, data: mujoco.MjData) -> flo
         middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         turn = mat.T @ data.geom_xmat[geom].reshape(3, 3)
         at = mat.T @ (data.geom_xpos[geom] - pos) + turn @ middle
+        # `geom_aabb` is a box in the geom's own axes: exact for boxes, too large for turned round bodies.
         kind, size = model.geom_type[geom], model.geom_size[geom]
         if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
             reach = float(size[0])
@@ -446,6 +447,7 @@ def lowest_point_of_part(tree: BodyTree, owner: int, data: mujoco.MjData) -> flo
             mesh = model.geom_dataid[geom]
             first = model.mesh_vertadr[mesh]
             corners = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+            # The third row of the turn gives heights: the corners need not be turned as a whole.
             reach = float(-((corners - middle) @ turn[2]).min())
         else:
             reach = float(np.abs(turn[2]) @ half)
@@ -630,6 +632,7 @@ def rotor_drive(model: mujoco.MjModel, root: int, rotors: list[int], size: np.nd
     x, y, z = size.tolist()
     # The drive divides by it, and a point mass in a file has none.
     inertia = np.maximum(model.body_inertia[root], 1e-9).tolist()
+    # Rotors stand about half way between the middle and the corners of the box.
     arm = float(np.hypot(x, y)) / 4
     return RotaryWing(
         max_speeds=(FLIGHT_SPEED / 2, FLIGHT_SPEED, FLIGHT_SPEED),
@@ -655,6 +658,7 @@ def borne_inertias(tree: BodyTree) -> dict[int, float]:
     # The ground holds it up: its joints carry arms and tools only.
     if tree.owners[0] in feet:
         return {}
+    # Every foot bears the same: the distribution depends on the gait, which a file does not state.
     share = float(model.body_subtreemass[tree.owners[0]]) / len(feet)
     found: dict[int, float] = {}
     for foot in feet:

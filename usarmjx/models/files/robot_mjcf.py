@@ -78,6 +78,7 @@ def _name(model: mujoco.MjModel, actuator: int) -> str:
 
 def _motor(model: mujoco.MjModel, actuator: int, joint: int, max_speed: float) -> Motor:
     """Return the servo equivalent to an actuator."""
+    # A negative gear turns the sense of the control, which our servos take in the joint's own.
     gear = abs(float(model.actuator_gear[actuator, 0]))
     # biasprm is (0, -kp, -kv); a gear scales both force and position, so the joint sees its square.
     bias = -model.actuator_biasprm[actuator, 1:3] * gear**2

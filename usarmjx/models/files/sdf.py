@@ -264,6 +264,7 @@ class _SdfReader:
 
     def _add_loose(self, model: SdfModel, links: list[SdfLink]) -> None:
         """Add rigidly joined links as a loose object."""
+        # The object's frame is that of its first link; all others are rigid against it.
         base = links[0].pose
         shapes: list[Shape] = []
         mass = 0.0
@@ -517,6 +518,7 @@ def ground_under(shapes: Sequence[Shape], at: tuple[float, float, float], *, flo
         mujoco.mj_forward(model, data)
         start = np.array([x, y, z + MAX_BELOW])
         geom = np.zeros(1, np.int32)
+        # 1: fixed geoms count; -1: no body is left out.
         distance = mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), None, 1, -1, geom, None)
         if geom[0] >= 0:
             found.append(float(start[2] - distance))

@@ -136,6 +136,7 @@ def _plane(own: SdfSolids, form: LinedElement, pose: Pose, like: Shape, use: Use
     if length < 1e-9:
         raise form.error("<normal> has a length of 0")
     normal = normal / length
+    # The normal is in the plane's own axes, the test for a floor in the world's.
     world = pose.mat @ normal
     if use == "loose":
         raise form.error("a plane does not move")
@@ -208,6 +209,7 @@ def _surface(shape: Shape, pose: Pose, normal: np.ndarray | None) -> str:
     """Return the surface of a piece: a plate is a wall if it is steep and high."""
     if normal is None or shape.mesh is None:
         return surface_of(shape)
+    # The third row of the pose: z of each corner in the world, apart from a constant.
     heights = shape.mesh.vertices @ pose.mat[2]
     steep = abs(float(pose.mat[2] @ normal)) < STEEP
     return "wall" if steep and float(np.ptp(heights)) >= MIN_WALL_HEIGHT else "ground"
@@ -266,6 +268,7 @@ SolidMaker = Callable[[SdfSolids, LinedElement, Pose, Shape, Use], Iterator[Shap
 MAKERS: dict[str, SolidMaker] = {
     "box": _plain("box", (("size", 3, 0.5),)),
     "sphere": _plain("sphere", (("radius", 1, 1.0),)),
+    # SDF states whole lengths, a Shape half lengths: factor 0.5.
     "cylinder": _plain("cylinder", (("radius", 1, 1.0), ("length", 1, 0.5))),
     "capsule": _plain("capsule", (("radius", 1, 1.0), ("length", 1, 0.5))),
     "ellipsoid": _plain("ellipsoid", (("radii", 3, 1.0),)),

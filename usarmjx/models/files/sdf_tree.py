@@ -211,6 +211,7 @@ class SdfFiles:
         """Return the world of a file; a model by itself stands at its pose in an empty one."""
         root = self.root(path)
         if root.tag == "model":
+            # An empty element stands for the world, so that both kinds of file have one form from here on.
             world = LinedElement(WORLD)
             world.path, world.line = path, 1
             made = SdfModel(world, path.stem, "", None, "", None, root.place)
@@ -326,6 +327,7 @@ class SdfFiles:
             name, inside = unquote(remote[1]), remote[2] or ""
             # Gazebo's own store spells names with blanks; downloads are folders in any of these forms.
             names = (name, name.lower(), name.replace(" ", "_"))
+            # Nothing is downloaded: an address counts as the name of a folder on this machine.
             tries = [f"model://{known}/{inside}".rstrip("/") for known in names]
             return next((found for one in tries if (found := self.resources.file(one, origin))), None)
         return self.resources.file(uri.strip(), origin)
@@ -546,6 +548,7 @@ class _UrdfWriter:
         self._links = dict(links_of(model, NO_POSE))
         self._short = {path: path.removeprefix(f"{model.path}::") for path in self._links}
         self._joints = [*self._movable()]
+        # URDF has no frame of a link beside its joint's: the link's origin moves to the joint.
         above = {joint.child: joint for joint in self._joints}
         self._frames = {
             path: above[path].frame if path in above else one.pose for path, one in self._links.items()

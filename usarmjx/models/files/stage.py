@@ -384,6 +384,7 @@ class _StageReader:
     def __init__(self, path: Path, root: StageModel, surface: str) -> None:
         self._path, self._root, self._surface = path, root, surface
         self._length = _unit(root, "unit_length", LENGTH_UNITS, 1.0)
+        # Stage's angles are in degrees unless a file says otherwise.
         self._angle = _unit(root, "unit_angle", ANGLE_UNITS, math.pi / 180)
         self._shapes: list[Shape] = []
         self._starts: list[StartPose] = []
@@ -565,6 +566,7 @@ class _StageReader:
         rings = [self._corners(block) for block in blocks]
         heights = [block.numbers("z", (2,)) or (0.0, 1.0) for block in blocks]
         points = np.concatenate(rings)
+        # Stage stretches the blocks' common box to the model's size, whatever their unit is.
         low, high = points.min(0), points.max(0)
         # Heights count from 0 whatever the lowest one is: blocks above it stay in the air.
         top = max(z[1] for z in heights)
@@ -647,4 +649,5 @@ def _placed(shape: Shape, pose: StagePose) -> Shape:
 
 def _turned(heading: float) -> float:
     """Return an angle between -pi and pi [rad]."""
+    # The rest nearest to zero: no other remainder of Python's is between -pi and pi.
     return math.remainder(heading, 2 * math.pi)

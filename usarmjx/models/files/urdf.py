@@ -580,6 +580,7 @@ class _UrdfReader:
         ]
         xx, yy, zz, xy, xz, yz = numbers
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        # MuJoCo takes principal moments and a quaternion; URDF gives a tensor in the inertial's own axes.
         values, axes = np.linalg.eigh(frame.mat @ tensor @ frame.mat.T)
         # eigh may return a left-handed frame, which is no rotation.
         axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -645,6 +646,7 @@ class _UrdfReader:
             cut = [whole] if pieces == 1 else read_pieces(found, pieces, scale)
             self._meshes[key] = [f"mesh {len(self._meshes)}/{number}" for number in range(len(cut))]
             for name, vertices in zip(self._meshes[key], cut, strict=True):
+                # Corners alone: MuJoCo builds the hull itself.
                 mesh = self._spec.add_mesh(name=name, uservert=hull_corners(vertices).ravel())
                 mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         return self._meshes[key]

@@ -562,6 +562,7 @@ def _check_number_of_files(value: FileValue) -> None:
     found: Counter[str] = Counter()
     waiting = [value]
     while waiting:
+        # A loop with a list of its own: a file nested ever deeper must not end in a RecursionError.
         one = waiting.pop()
         pairs = one.data.items() if isinstance(one.data, dict) else ()
         waiting += one.data if isinstance(one.data, list) else [item for _, item in pairs]

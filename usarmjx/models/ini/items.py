@@ -165,6 +165,7 @@ class WarningLog:
 
     def add(self, line: Line, text: str) -> None:
         """Add a warning about a line."""
+        # By text, not by line: one wrong key in fifty sections is one warning.
         lines = self._lines.setdefault((line.file, text), [])
         if line.line not in lines:
             lines.append(line.line)
@@ -179,6 +180,7 @@ def _also(lines: Sequence[int]) -> str:
 def kind_of(name: str, settings: Settings | None) -> str | None:
     """Return the type of an item class, case ignored, or None if it is unknown."""
     kinds = {known.lower(): kind for known, kind in ITEM_CLASSES.items()}
+    # Types of sensors by themselves count too: files of the later versions have no class for some of them.
     kinds |= {kind.lower(): kind for kind in settings or ()}
     return kinds.get(name.lower())
 
@@ -232,6 +234,7 @@ def read_settings(
     kind: str, pairs: Iterable[tuple[str, Line, IniValue]], settings: Settings | None, notes: WarningLog
 ) -> Options:
     """Return keys of an item as options; unknown ones become warnings."""
+    # A list, not a mapping: the last of several spellings of a key counts, as the reader of settings decides.
     found: list[tuple[str, object]] = []
     for key, line, value in pairs:
         reason = SETTINGS_IGNORED.get((kind, key.lower()))

@@ -262,6 +262,7 @@ def unit_of(pair: JointPair, field: str) -> np.ndarray:
     length = float(np.linalg.norm((x, y, z)))
     if length == 0:
         fail(pair.line, f"{field} has no length", "a direction, as (X=0,Y=1,Z=0)")
+    # Unreal's z points up, USARSim's down.
     return np.array([x, y, -z]) / length
 
 
@@ -270,6 +271,7 @@ def part_rotation(pair: JointPair) -> Vec3:
     struct = pair.struct
     if struct.get("SelfAxis") is None:
         return ZERO
+    # One pair of axes leaves the turn about them open: a second pair fixes it.
     own, theirs = unit_of(pair, "SelfAxis"), unit_of(pair, "ParentAxis")
     if struct.get("SelfAxis2") is None or struct.get("ParentAxis2") is None:
         if np.allclose(own, theirs, atol=1e-6):
@@ -286,6 +288,7 @@ def part_rotation(pair: JointPair) -> Vec3:
 def _frame(pair: JointPair, first: np.ndarray, field: str) -> np.ndarray:
     """Return a right-handed frame (3, 3) whose x axis is `first` and whose y axis is nearest to a field's."""
     second = unit_of(pair, field)
+    # Gram and Schmidt: files give the axes with few digits, so they are not quite at right angles.
     second = second - first * (first @ second)
     if np.linalg.norm(second) < 1e-3:
         fail(pair.line, f"{field} lies along the first axis", "one across it")
@@ -328,6 +331,7 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
     )
     upright = steering_axis(pair)
     spring = Spring(
+        # k = m w^2 and c = 2 z m w for the mass on one wheel; the load is its weight along the suspension.
         stiffness=load * SUSPENSION_RATE**2,
         damping=2 * SUSPENSION_SHARE * load * SUSPENSION_RATE,
         load=load * GRAVITY * float(np.dot(upright, UP)),
@@ -611,6 +615,7 @@ def templates(packages: Iterable[MissionPackage], definitions: Definitions) -> d
     """Return packages by class name in lower case, with the ini files' changes, mounted at the origin."""
     found: dict[str, MissionPackage] = {}
     for package in packages:
+        # A MisPkgs line gives the whole position: the class's own would be added to it.
         bare = mount_package(package, _sum(ZERO, base_of(package), -1))
         found[package.name.lower()] = redefine(bare, definitions)
     return found

@@ -150,6 +150,8 @@ def _scaled(wheel: Part, name: str, share: float, size: float) -> Part:
             motor,
             max_speed=motor.max_speed / size,
             torque=motor.torque * size,
+            # The same speed and pull at the belt: speed falls with the radius, torque grows with it, and
+            # gains and inertia, which are torque over angle, with its square.
             stiffness=motor.stiffness * size**2,
             damping=motor.damping * size**2,
             armature=motor.armature * size**2,
@@ -194,6 +196,8 @@ def set_chassis_mass(robot: RobotSpec, value: float) -> RobotSpec:
 
 def set_max_torque(robot: RobotSpec, value: float) -> RobotSpec:
     """Set MaxTorque: torque in CONF; wheels scale in proportion, and it limits MotorTorque."""
+    # MaxTorque is in the original's units, which no motor of ours has: only its ratio to the usual one
+    # counts.
     share = value / robot.max_torque
     # A hinge's torque is the smaller of MotorTorque and MaxTorque, here with MotorTorque at its default.
     cut = min(value, MOTOR_TORQUE) / min(robot.max_torque, MOTOR_TORQUE)
@@ -391,6 +395,7 @@ def _motors(
         motor = part.motor
         if motor is None:
             return part
+        # None stays None: such a motor has no curve to scale.
         stall = motor.stall_torque and motor.stall_torque * torque
         motor = replace(
             motor, torque=motor.torque * torque, max_speed=motor.max_speed * speed, stall_torque=stall

@@ -257,6 +257,7 @@ class LineParser:
         found = _NUMBER.fullmatch(text)
         if not found:
             return text
+        # `float` takes "1e999" as infinite without an error.
         number = float(found.group(1))
         if not math.isfinite(number):
             self.fail(f"{quote_short(text)} is too large for a number", "at most 1.8e308")

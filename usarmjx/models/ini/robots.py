@@ -547,6 +547,7 @@ def build_robots(
     changed: list[RobotSpec] = []
     for name in dict.fromkeys([*(name.lower() for name in robots.names()), *built]):
         before = robots.get(name) if name in robots else None
+        # Robots without a section count too: a file may redefine a package that they carry.
         robot = built.get(name) or _with_packages(robots.get(name), sources)
         robot = with_defaults(robot, found.defaults, kept)
         if robot != before:

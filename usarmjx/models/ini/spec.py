@@ -450,6 +450,7 @@ def _new_robot(orders: RobotSection, pairs: Sequence[JointPair], sources: BuildC
     parts = build_parts(pairs, weight, sources.robots)
     roles = read_roles([line for line, _ in orders.lists.get("Wheels", ())])
     parts, drive = drive_of(pairs, parts, roles, sources.warnings)
+    # Weight is that of the whole robot in Unreal, wheels included.
     rest = weight - mass_of(parts)
     if rest <= 0:
         fail(weight_line, f"Weight is {weight:g}, the parts alone have {mass_of(parts):g}", "more than that")

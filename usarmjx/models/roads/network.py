@@ -229,6 +229,7 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
     existing points; checkpoints have unique numbers; values are in their ranges.
     """
     known = network.points()
+    # For messages: points of an owner have consecutive numbers.
     numbers = {owner: (part.first, part.first + len(_points(part)) - 1) for owner, part in network.parts()}
     faults: list[Fault] = [] if network.name else [(("name",), "a route network needs a name")]
     # Numbers of checkpoints are unique in the whole network: missions name them alone.

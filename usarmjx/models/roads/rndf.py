@@ -64,6 +64,7 @@ class RoadLines:
 
     def __init__(self, source: str | Path) -> None:
         self.file, text = "text", str(source)
+        # A text of a network has many lines, the name of a file none.
         if isinstance(source, Path) or "\n" not in source:
             self.file = text
             data = read_bounded(Path(source), MAX_ROAD_FILE_BYTES)
@@ -149,6 +150,7 @@ class RoadLines:
             meaning: Description of the words, for the error.
         """
         first, *rest = self._lines[self._next][1]
+        # Names may have blanks: without a count any number of words but none is right.
         if (not rest) if count is None else (len(rest) != count):
             found = _short(f"{first} {' '.join(rest)}".rstrip())
             raise self.fault(f"{found}; expected: {_short(first)} {meaning}".rstrip())
@@ -329,6 +331,7 @@ def _checkpoints(lines: RoadLines, into: list[int]) -> None:
     before = len(into)
     while lines.numbered:
         (number,) = lines.parsed(lines.word, 1, lines.line)
+        # The first line of a number: missions may visit a checkpoint several times.
         lines.fault_lines.setdefault(("checkpoint", number), lines.line)
         lines.words(0)
         into.append(number)

@@ -84,6 +84,7 @@ def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: LatLon) -> 
     entries = network.entries
     path = lane_path(lane, origin)
     first = lane.first
+    # `exits` name points from `first` on, arrays count from 0.
     ends = [i for i in range(1, len(path)) if i - 1 + first in left and (*owner, i + first) in entries]
     runs = [_distinct(run) for run in np.split(path, ends)]
     return [run for run in runs if len(run) > 1]
@@ -125,6 +126,7 @@ def _bar(a: np.ndarray, b: np.ndarray, width: float, height: float, surface: str
 
 def _pieces(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Iterate over the straight pieces of a path: two ends [m] (2,) each."""
+    # Unwrapped: a path to the west passes from pi to -pi without a bend.
     heading = np.unwrap(np.arctan2(*np.diff(path, axis=0).T[::-1]))
     bends = [0, *(1 + np.flatnonzero(np.abs(np.diff(heading)) > MAX_STRAIGHT_BEND)), len(path) - 1]
     for start, end in pairwise(bends):
@@ -157,6 +159,7 @@ def _dashes(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _kerb(run: np.ndarray, edge: float) -> Iterator[Shape]:
+    # A kerb is on the right alone: beyond the edge, the outside is to the right.
     path = offset_path(run, edge - KERB_WIDTH / 2)
     yield from (_bar(a, b, KERB_WIDTH, KERB_HEIGHT, "ground", CONCRETE) for a, b in _pieces(path))
 

@@ -126,6 +126,7 @@ class Tyre:
     def on(self, surface: Surface) -> Surface:
         """Return a stock tyre's surface changed by these parameters; it takes priority over the ground."""
         stock = Tyre(speed=self.speed)
+        # Karma's friction has no unit in common with a coefficient: the stock tyre is our surface as it is.
         grip = math.sqrt(self.roll_friction * self.lateral_friction) / stock.roll_friction
         slip = min(max(self.slip / stock.slip, 1 / MAX_SLIP_FACTOR), MAX_SLIP_FACTOR)
         begins, deep, depth = surface.solimp
@@ -181,6 +182,7 @@ class Mesh:
 
     def __hash__(self) -> int:
         """Return the hash of the vertices."""
+        # Faces are left out: equal meshes have equal vertices, and that is all that a hash has to keep.
         return hash(self.vertices.tobytes())
 
 

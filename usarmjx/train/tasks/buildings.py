@@ -108,6 +108,7 @@ def spread_starts(arena: ArenaSpec, spacing: float) -> ArenaSpec:
     for i, position in enumerate(at):
         if free[i]:
             kept.append(i)
+            # The pose itself drops out here too: its distance is 0.
             free &= np.hypot(*(at - position).T) >= spacing
     order = [*kept, *sorted(set(range(len(at))) - set(kept))]
     return replace(arena, starts=tuple(arena.starts[i] for i in order))
@@ -126,6 +127,7 @@ def thin_victims(arena: ArenaSpec, count: int, near: int, seed: int) -> ArenaSpe
     away = np.array([np.hypot(*(np.array(victim.at[:2]) - first)) for victim in arena.victims])
     order = np.random.default_rng(seed).permutation(len(away))
     close = [int(i) for i in order if away[i] < NEAR_START][:near]
+    # Drawn in random order, kept in the arena's: names and segments of victims follow that.
     kept = sorted([int(i) for i in order if away[i] >= NEAR_START or int(i) in close][:count])
     return replace(arena, victims=tuple(arena.victims[i] for i in kept))
 

@@ -64,6 +64,7 @@ def box_distance(one: Boxes, others: Boxes) -> jax.Array:
     back = -(coss * away[0] + sins * away[1]), -(coss * away[1] - sins * away[0])
     # Of two rectangles apart, one nearest point is a corner, of the one or of the other.
     theirs, ours = _corners(middle, turn, halves), _corners(back, (turn[0], -turn[1]), half)
+    # Squared, so that one root at the end suffices for all eight corners.
     near = jnp.minimum(_nearest_corner(theirs, half), _nearest_corner(ours, halves))
     # Separating axes: two rectangles are apart exactly if one of their four sides' directions separates them.
     apart = reduce(
@@ -118,6 +119,7 @@ def bounding_box_of(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
 
 def _reach(kind: np.ndarray, size: np.ndarray, mat: np.ndarray) -> np.ndarray:
     """Return how far geoms reach from their centres along the axes [m] (geoms, 3)."""
+    # Cosines between the geom's own z axis, that of rotation, and the three axes.
     along = np.abs(mat[:, :, 2])
     radius, length = size[:, :1], size[:, 1:2]
     reaches = {
@@ -173,6 +175,7 @@ def obstacle_boxes(view: TaskView) -> Boxes:
     return Boxes(
         centre=pos[:, :2],
         half=size[:, :2],
+        # The first column of the matrix is the x axis of the box in the world.
         yaw=jnp.arctan2(mat[:, 1, 0], mat[:, 0, 0]),
         low=pos[:, 2] - height + floor,
         high=pos[:, 2] + height + floor,
@@ -227,5 +230,6 @@ def _least(around: Boxes, drivable: np.ndarray, one: Boxes, me: jax.Array) -> ja
         me: Which of them it is ().
     """
     meets = (around.high > one.low + drivable) & (around.low < one.high)
+    # The robot itself is among the boxes around it.
     meets &= jnp.arange(len(around.yaw)) != me
     return jnp.where(meets, box_distance(one, around), NO_OBSTACLE).min(initial=NO_OBSTACLE)

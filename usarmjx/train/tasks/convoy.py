@@ -70,6 +70,7 @@ class LanePath:
         return jnp.arctan2(edge[..., 1], edge[..., 0])
 
     def _edge(self, along: jax.Array) -> jax.Array:
+        # `right`: a corner belongs to the edge that begins there.
         return jnp.searchsorted(jnp.asarray(self.edge_starts), along, side="right") - 1
 
     def nearest(self, positions: Array) -> tuple[jax.Array, jax.Array]:
@@ -80,10 +81,12 @@ class LanePath:
         """
         unit = self.edges / self.lengths[:, None]
         off = positions[..., None, :] - self.points.astype(np.float32)
+        # Cut to each edge: beyond its ends the corner is the nearest point.
         along = jnp.clip((off * unit).sum(-1), 0.0, self.lengths)
         gap = off - along[..., None] * unit
         far = jnp.linalg.norm(gap, axis=-1)
         best = jnp.argmin(far, -1)[..., None]
+        # The sign of the cross product says which side of the edge a position is on.
         left = jnp.sign(unit[:, 0] * gap[..., 1] - unit[:, 1] * gap[..., 0]) * far
         there = jnp.take_along_axis(jnp.asarray(self.edge_starts) + along, best, -1)
         return there[..., 0], jnp.take_along_axis(left, best, -1)[..., 0]
@@ -204,6 +207,7 @@ class Convoy(Task):
             Mount(
                 kind="INS",
                 name="INS",
+                # The origin is midway between the axles; a car turns about a point beside its rear one.
                 at=(-car.wheel_base / 2, 0.0, 0.0),
                 options=options(Sigma=0.01, ScanInterval=0.1),
             ),
@@ -263,6 +267,7 @@ class Convoy(Task):
     def start(self, view: TaskView, key: jax.Array) -> ConvoyMemory:
         """Order and speeds of the cars."""
         along, _ = self.path.nearest(view.robots(0).pos[:, :2])
+        # Start poses lie one after the other from 10 m on: distances need no wrap before the cars have moved.
         ahead = along[None, :] - along[:, None]
         follows = jnp.argmin(jnp.where(ahead > 0, ahead, jnp.inf), -1)
         low, high = self.speeds

@@ -122,6 +122,7 @@ def goal_observation(pose: jax.Array, goal: jax.Array) -> jax.Array:
     cos, sin = jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack(
         [
+            # The way in the robot's axes is the cosine and the sine of the bearing.
             ahead * cos + left * sin,
             left * cos - ahead * sin,
             jnp.minimum(distance / MAX_GOAL_DISTANCE, 1.0),

@@ -95,9 +95,11 @@ def nearest_mates(belief: Belief, base: int, time: Array, count: int) -> Mates:
     """Return the nearest of the robots that each robot has heard of lately."""
     robots = len(belief.pose)
     away = jnp.linalg.norm(belief.mate_headers[..., :2] - belief.pose[:, None, :2], axis=-1)
+    # Infinite distances sort last in `top_k`, which wants a fixed count while tracing.
     away = jnp.where(heard_of(belief, base, time), away, jnp.inf)
     # Filled up, so that a small team has as many places as the largest observation.
     away = jnp.concatenate([away, jnp.full((robots, count), jnp.inf)], -1)
+    # The greatest of the negatives: the nearest first, and of equal ones that of the lower slot.
     gap, slot = jax.lax.top_k(-away, count)
     # Slots of the fill are beyond the team: cut to an existing one, and marked invalid.
     return Mates(jnp.minimum(slot, robots - 1), jnp.isfinite(gap))
@@ -251,6 +253,7 @@ def block_means(layers: Array, side: int) -> jax.Array:
         side: Squares along a side of a block.
     """
     rows, columns = layers.shape[1:]
+    # `-n % side` is what n lacks to a multiple of the side; the fill counts as unknown.
     missing = ((0, 0), (0, -rows % side), (0, -columns % side))
     whole = jnp.pad(layers.astype(jnp.float32), missing)  # pyright: ignore[reportUnknownMemberType]
     return whole.reshape(len(whole), -1, side, whole.shape[2] // side, side).mean((2, 4))

@@ -618,6 +618,7 @@ class GoalTeam(TeamTask):
         contacts = self.price * begun
         memory = memory.replace(score=memory.score + found.points - contacts.sum())
         reward = found.reward + self.hint * 100.0 * credit - contacts
+        # Steps that a staggered start skips took no time and sent nothing.
         seconds = jnp.maximum(memory.step - memory.skipped, 1) * self.repeat * scene.physics.period
         sent = {"bytes": memory.extra.bytes_sent / seconds}
         return StepResult(

@@ -143,6 +143,7 @@ class HoverInspect(Task):
     def arenas(self) -> ArenaSpec:
         """The rooms; the robot starts in the first one."""
         last, side = LONG * (self.rooms - 0.5), (WIDE + THICK) / 2
+        # Rooms reach from -LONG / 2 to `last`; walls at the ends stand outside of that.
         middle, length = (last - LONG / 2) / 2, LONG * self.rooms + 2 * THICK
         walls = [block((middle, y), (length, THICK, HIGH), surface="wall") for y in (-side, side)]
         ends = (-LONG / 2 - THICK / 2, last + THICK / 2)
@@ -169,6 +170,7 @@ class HoverInspect(Task):
 
     def act(self, view: TaskView, memory: InspectMemory, actions: tuple[jax.Array, ...]) -> Actions:
         """Speeds."""
+        # In the order of `RotaryWing.full_scale`: up, forward, to the right, clockwise.
         most = (SPEED_SCALE, SPEED_SCALE, SPEED_SCALE, TURN_RATE_SCALE)
         keys = drive_keys(view.scene.groups[0].robot)
         return Actions(drive={0: {key: most[i] * actions[0][:, i] for i, key in enumerate(keys)}})

@@ -64,6 +64,7 @@ def heard_vectors(state: VectorState, mail: Inboxes) -> VectorState:
     numbers = jnp.asarray(mail.payload)[..., -size:]
     there = mail.valid & (numbers[..., 0] != ABSENT)
     theirs = there[:, None] & (mail.sender[:, None] == np.arange(robots)[:, None])
+    # Boxes hold the oldest first: the highest place is the last letter.
     last = jnp.max(jnp.where(theirs, np.arange(capacity), -1), -1, initial=-1)
     rows, place = np.arange(robots)[:, None], jnp.maximum(last, 0)
     return state.replace(

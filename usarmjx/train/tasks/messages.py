@@ -176,6 +176,7 @@ def heard(state: MessageState, mail: Inboxes) -> MessageState:
     there = mail.valid[:, None] & (mail.sender[:, None] == np.arange(robots)[:, None])
     last = jnp.max(jnp.where(there, np.arange(capacity), -1), -1, initial=-1)
     rows = np.arange(robots)[:, None]
+    # Place 0 where there is no letter: its contents are masked below.
     came = jnp.asarray(mail.payload)[rows, jnp.maximum(last, 0), HEADER_SIZE:].astype(jnp.int32)
     # Behind the strips a letter may hold a vector.
     came = jnp.where((last >= 0)[..., None], came[..., : state.known.shape[-1]], 0)
@@ -197,6 +198,7 @@ def compared(state: MessageState, squares: Array, news: str, worth: float) -> Me
     there, known = packed_maps(squares)[:, None], state.known
     marks = _count(packed_marks(there) & ~packed_marks(known)).sum(-1)
     free = _count(packed_free(there) & ~packed_free(known)).sum(-1)
+    # Bits that a merge would change: the number of squares that the other does not have.
     changed = merge_numbers(there, known) ^ known
     return state.replace(
         unknown=_count(packed_known(changed)).sum(-1).astype(jnp.float32),
@@ -275,6 +277,7 @@ def option_features(
         jnp.minimum(offered.room / BYTES_SCALE, 1.0)[..., None],
     ]
     whole = jnp.concatenate(facts, -1)
+    # Receivers outside, kinds inside: the order of `option`.
     each = jnp.repeat(whole, len(KINDS), axis=1)
     kind = jnp.broadcast_to(jnp.tile(jnp.eye(len(KINDS)), (RECEIVERS, 1)), (robots, OPTIONS - 1, len(KINDS)))
     described = jnp.concatenate([each, kind], -1)
@@ -383,6 +386,7 @@ def posted(
     rows, own = jnp.arange(len(chosen)), packed_maps(squares)
     kind, where = of_options(state, chosen)
     to = offered.receivers[rows, where] & (chosen > 0)[:, None]
+    # `room` may be infinite, where bytes are free: it is cut to the map before it becomes an integer.
     strips = jnp.maximum(offered.room[rows, where] - PLAN_BYTES, 0.0) / STRIP_BYTES
     most = jnp.minimum(strips, own.shape[-1]).astype(jnp.int32)
     only_marks = (kind == VICTIMS)[:, None]

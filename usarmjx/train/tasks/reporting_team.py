@@ -89,6 +89,7 @@ class ReportingTeam(GoalTeam):
         others.
         """
         agents, has = self.agents(view.scene), self.sighted(view, memory)
+        # A thing that nobody saw, as one by a mark beside it, is everybody's.
         has = (has | ~has.any(0)) & news
         # Things are squares (i, j) or victims: one axis stands for both.
         parts = (has / jnp.maximum(has.sum(0), 1)).reshape(len(agents), -1).sum(1)
@@ -228,6 +229,7 @@ class SearchBase(ReportingTeam):
         ends = super().ends(known)
         if self.oracle:
             return ends
+        # Single squares that a look has missed are no place to go to.
         around = jax.vmap(partial(box_sum, radius=LOOK_BOX))(known.targets)
         wide = around >= LOOK_SHARE * (2 * LOOK_BOX + 1) ** 2
         return ends | (known.targets & wide & (known.squares == FREE))
@@ -272,6 +274,7 @@ class SearchBase(ReportingTeam):
         """Return which victims some marks (i, j) stand for (victims,)."""
         at = jnp.asarray(view.victims.at)[:, :2]
         gap = self.arena_grid(view.scene).squared_gaps(at)
+        # By squares, not by marks: each square stands for one victim at most.
         nearest = gap.argmin(0) == jnp.arange(len(at))[:, None, None]
         return (nearest & (gap <= self.near**2) & marks).any((1, 2))
 

@@ -86,6 +86,7 @@ def outline(low: Array, high: Array) -> np.ndarray:
 
 def moved(body: Footprint, command: jax.Array, time: float) -> tuple[jax.Array, jax.Array]:
     """Return where a command (..., 2) takes a robot: its position [m] (..., 2), and its yaw [rad] (...,)."""
+    # Clipped per side, as `drive_values` does: a turn at full speed slows the robot.
     left, right = (jnp.clip(command[..., 0] + side * command[..., 1], -1.0, 1.0) for side in (-1, 1))
     speed = body.top_speed * (left + right) / 2
     rate = jnp.clip(body.top_speed * (right - left) / body.lever, -body.max_turn, body.max_turn)
@@ -98,6 +99,7 @@ def moved(body: Footprint, command: jax.Array, time: float) -> tuple[jax.Array, 
 def distance_from(body: Footprint, points: jax.Array, position: jax.Array, yaw: jax.Array) -> jax.Array:
     """Return the least distance of points (n, 2) from the box of a robot at a pose [m] ()."""
     away = points - position
+    # The points turn back into the box's axes, in which its sides are straight.
     x = jnp.cos(yaw) * away[:, 0] + jnp.sin(yaw) * away[:, 1]
     y = jnp.cos(yaw) * away[:, 1] - jnp.sin(yaw) * away[:, 0]
     gap_x = jnp.maximum(jnp.maximum(body.low[0] - x, x - body.high[0]), 0.0)
@@ -117,6 +119,7 @@ def safe_command(body: Footprint, seen: jax.Array, mates: jax.Array, command: ja
         mates: Outlines of other robots, in its axes [m] (n, 2).
         command: What it wants (2,).
     """
+    # A retreat both ways: the obstacle may be ahead or behind.
     speeds = jnp.concatenate([np.array(SPEED_SHARES) * command[0], np.array([-RETREAT, RETREAT])])
     turns = jnp.concatenate([command[1] + np.array(TURNS), jnp.zeros(1)])
     tried = jnp.stack(jnp.meshgrid(speeds, turns, indexing="ij"), -1).reshape(-1, 2)
@@ -156,5 +159,6 @@ def mate_points(pose: jax.Array, mates: jax.Array, age: jax.Array, outlines: Arr
 def beam_points(scanner: ScannerSettings, pose: Array, ranges: jax.Array) -> jax.Array:
     """Return where beams end, in the axes of their scanner's pose (3,) [m] (beams, 2); none: far away."""
     angle = pose[2] + scanner.resolution * np.arange(scanner.beams) - scanner.scan_fov / 2
+    # Noise may bring a beam that met nothing a little below the longest range.
     reach = jnp.where(ranges < scanner.max_range - CLOSE, ranges, FAR)
     return jnp.asarray(pose)[:2] + reach[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)

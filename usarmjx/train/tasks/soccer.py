@@ -173,6 +173,7 @@ def update_from_sensors(belief: SoccerBelief, readings: SoccerReadings, time: Ar
     # After a longer gap the ball may have bounced: no velocity is better than a wrong one.
     moved = jnp.where((gap < MAX_VELOCITY_GAP)[:, None], moved, 0.0)
     return belief.replace(
+        # Of x, y, z, roll, pitch, yaw.
         pose=readings.pose[:, (0, 1, 5)],
         others=jnp.where(readings.fresh[:, None], others, belief.others),
         ball=jnp.where(there[:, None], ball, belief.ball),

@@ -94,6 +94,7 @@ def _starts() -> tuple[StartPose, ...]:
         crowded = any(np.linalg.norm(here - other) < MIN_START_DISTANCE for other in [*others, -here])
         if not crowded and np.linalg.norm(here) > FREE_KICK and abs(x) + abs(y) < CORNER - 0.5:
             poses.append((float(x), float(y), float(yaw)))
+    # Both teams meet the same poses: none has an advantage.
     poses += [(-x, -y, yaw + np.pi) for x, y, yaw in poses]
     return tuple(
         StartPose(tag=start_tag(i), at=(x, y, START_ELEVATION), yaw=yaw)

@@ -108,6 +108,7 @@ def _ways(way: jax.Array) -> jax.Array:
 
 def _is_free(ways: jax.Array, others: jax.Array, room: float, far: jax.Array | float) -> jax.Array:
     """Return which ways (ways, 2) are so far free of others (n, 2) (ways,)."""
+    # Dot and cross product: the distance along each way, and the distance off it.
     on, off = ways @ others.T, ways[:, :1] * others[:, 1] - ways[:, 1:] * others[:, 0]
     return ~((on > 0) & (on < far) & (jnp.abs(off) < room)).any(-1)
 
@@ -193,4 +194,5 @@ def _wheels(speed: jax.Array | float, turn: jax.Array) -> jax.Array:
     """Return the action (2,) for a speed, as a share, and an angle to turn by [rad]."""
     rate = jnp.clip(0.6 * turn, -0.5, 0.5)
     action = jnp.stack([speed - rate, speed + rate])
+    # Both wheels are scaled alike, so that the curve stays the same.
     return action / jnp.maximum(jnp.abs(action).max(), 1.0)

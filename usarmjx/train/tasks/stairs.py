@@ -228,6 +228,7 @@ class Stairs(Task):
         gained = pos[2] - memory.start_height
         distance = self._distance(pos, memory.start_height)
         level = jnp.abs(gained - self.height) < 0.05
+        # By height as well: a robot that has climbed something else beside the goal has not arrived.
         there = level & (up > 0.95) & (pos[0] > self.edge + 0.4)
         fallen = up < 0.3
         best = jnp.maximum(memory.best, jnp.clip(gained / self.height, 0.0, 1.0))

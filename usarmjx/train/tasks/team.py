@@ -198,6 +198,7 @@ def true_poses(view: TaskView, group: int) -> jax.Array:
     """Return where a group's robots truly are: x, y [m], yaw [rad] (robots, 3)."""
     robots = view.robots(group)
     w, x, y, z = jnp.moveaxis(robots.quat, -1, 0)
+    # The yaw of ZYX angles: exact for robots that lean, too.
     yaw = jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return jnp.concatenate([robots.pos[:, :2], yaw[:, None]], -1)
 
@@ -214,6 +215,7 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
             continue
         scan = scan_of(view, g, true_poses(view, g))
         free, _ = jax.vmap(partial(classify_scan, grid, scan.settings))(scan.poses, scan.ranges)
+        # A reading that is not fresh was taken elsewhere: drawn from here it would be wrong.
         parts.append((group.slots, free & scan.fresh[:, None, None]))
     new = set_rows(jnp.zeros((scene.num_robots, *grid.shape), bool), *parts)
     new = new & memory.reachable & ~memory.explored

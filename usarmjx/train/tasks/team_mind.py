@@ -121,6 +121,7 @@ class TeamMind:
             need = f"sensors {', '.join(sorted(kinds))}, actions={task.actions}"
             raise UsageError(f"a team outside a simulator has INS and RangeScanner, and goals; here: {need}")
         self._memory: TeamMemory | None = None
+        # Compiled once for all episodes: the memory has the same shapes from the first step on.
         self._see = jax.jit(self._seen)
         self._begin = jax.jit(self._begun)
         self._obey = jax.jit(self._obeyed)
@@ -188,6 +189,7 @@ class TeamMind:
     def _view(self, report: Report) -> HeardView:
         scene, robots = self.scene, self.scene.num_robots
         poses = np.zeros((robots, 6), np.float32)
+        # Sensors report x, y, z, roll, pitch, yaw; robots elsewhere are taken to stand level.
         poses[:, (0, 1, 5)] = report.poses
         # INS first, then the scanner, as `equip.mapping_robot` mounts them.
         readings = (

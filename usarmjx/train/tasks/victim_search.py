@@ -68,6 +68,7 @@ def detected_positions(view: TaskView, group: int) -> jax.Array:
     boxes = view.sensor(group, "VictSensor")
     mat = mat_from_angles(*flip_angles(mount.direction)).astype(np.float32)
     at = np.array(flip_vector(mount.at), np.float32)
+    # The first two numbers of a box are whether it was met and which part it is; the position comes behind.
     position = (mat * boxes[..., None, 2:]).sum(-1) + at
     return jnp.concatenate([boxes[..., :1], position[..., :2]], -1)
 

@@ -81,6 +81,7 @@ class Wander(Task):
     def _visit(self, view: TaskView, visited: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the squares with the present one visited, and whether it was new ()."""
         low = np.array(view.scene.arena.extent, np.float32)[:, 0]
+        # Not a plain cast, which rounds towards zero: a robot just outside would be in square 0.
         square = jnp.floor((view.robots(0).pos[0, :2] - low) / self.square).astype(jnp.int32)
         inside = (square >= 0).all() & (square < np.array(visited.shape)).all()
         i, j = square
