@@ -174,7 +174,12 @@ def test_robots_follow_one_another_and_c_goes_from_the_camera_over_it():
     assert viewer.mode is ViewMode.CAMERA
     viewer.update(drawing, frame, np.array([100.0, 0.0, 0.0]))
     assert viewer.client.camera.position == pytest.approx(np.add(CAMERA_AT, (100.0, 0.0, 0.2)))
-    assert viewer.client.camera.fov == 1.0
+    # The page's picture is as wide as the camera's: its field of view is vertical, a robot's horizontal.
+    wide = 1.6 * math.tan(viewer.client.camera.fov / 2)
+    assert 2 * math.atan(wide) == pytest.approx(frame.robots[0].fovs[0])
+    viewer.client.camera.aspect = 0.8
+    viewer.update(drawing, frame, np.zeros(3))
+    assert 2 * math.atan(0.8 * math.tan(viewer.client.camera.fov / 2)) == pytest.approx(1.0)
     viewer.toggle()
     viewer.update(drawing, frame, np.zeros(3))
     assert viewer.client.camera.position == pytest.approx(chase_pose(drawing.robots[0], frame).pos)

@@ -334,7 +334,9 @@ class Viewer:
         if self.mode is ViewMode.CAMERA and robot.cameras:
             self.camera %= len(robot.cameras)
             self._move(camera_pose(robot, frame, self.camera), offset)
-            self._set_fov(float(frame.robots[self.robot].fovs[self.camera]))
+            # Fields of view of cameras are horizontal, viser's are vertical.
+            half = math.tan(float(frame.robots[self.robot].fovs[self.camera]) / 2)
+            self._set_fov(2 * math.atan(half / self.client.camera.aspect))
         else:
             if self._chase is None or self._chase.drawing is not drawing:
                 self._chase = Chase(drawing)
