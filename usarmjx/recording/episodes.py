@@ -267,6 +267,7 @@ class BlackBox:
     def _start(self, state: EnvState, world: int) -> tuple[tuple[np.ndarray, ...], float]:
         """Return the arrays of a world, as those of a batch of it alone, and the time of its episode [s]."""
         if self._replayed is None:
+            # Built at the first fault only: most trainings never need it, and it compiles for seconds.
             self._replayed = ReplayedBatch(self._setup())
         known = state_arrays(self._replayed.batch_state)
         found = state_arrays(state.batch)
@@ -320,6 +321,7 @@ class BlackBox:
 
 def _fault(before: EnvState, after: EnvState, world: int) -> str:
     """Return the faults of a step of a world, in words; empty without any."""
+    # Counters grow over a training: only a difference tells of this step.
     counts = [(getattr(one.batch.worlds.faults, name), name) for one in (before, after) for name in FAULTS]
     then, now = ([int(np.asarray(count)[world]) for count, _ in counts[i : i + 3]] for i in (0, len(FAULTS)))
     grown = [text for text, a, b in zip(FAULTS.values(), then, now, strict=True) if b > a]

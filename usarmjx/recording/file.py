@@ -110,6 +110,7 @@ def _entries(file: IO[bytes], end: int) -> Iterator[ChunkIndex]:
 def _chunk_entry(file: IO[bytes], at: int, length: int) -> ChunkIndex:
     """Return the entry of a chunk, whose record begins at an offset, without its messages."""
     start, end, unpacked, _ = TIMES.unpack(file.read(TIMES.size))
+    # MCAP's strings have their length in front.
     compression = file.read(LENGTH.unpack(file.read(LENGTH.size))[0]).decode()
     return ChunkIndex(
         chunk_length=length,
@@ -218,6 +219,7 @@ class RecordingFile:
             self._writer.start(library="usarmjx")
             self._writer.add_metadata("usarmjx", about or {})
             self._writer.flush()
+        # A daemon: a program that forgets to close the file can end all the same.
         self._thread = Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 

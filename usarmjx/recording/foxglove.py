@@ -180,6 +180,7 @@ class Transforms:
             # Exactly: bodies at rest have the same bits in every frame.
             sent = sent & ((frame.pos != self._pos).any(-1) | (frame.quat != self._quat).any(-1))
         self._pos, self._quat, now = frame.pos, frame.quat, stamp(frame.time)
+        # As doubles: rounded single-precision numbers show all their digits again in JSON.
         pos, quat = frame.pos.astype(float).round(DIGITS), frame.quat.astype(float).round(DIGITS + 1)
         return {
             "transforms": [
@@ -373,6 +374,7 @@ class Trails:
             trail.last, trail.is_sent = here, False
             trail.poses.append({"position": _xyz(here), "orientation": _quaternion(robot.quat.tolist())})
         if len(trail.poses) > MOST_POSES:
+            # Every other one: the path keeps its length at half the resolution.
             del trail.poses[1::2]
             trail.step *= 2
         if trail.is_sent or time < trail.due:

@@ -219,6 +219,7 @@ def _together(
     """Yield the messages of a recording, then those of a bag and pictures: readers sort them by time."""
     start = None
     for one in _recorded(recording):
+        # The smallest, not the first: shapes are written in pieces, behind later messages.
         start = one[3] if start is None else min(start, one[3])
         yield one
     if start is None:
@@ -260,6 +261,7 @@ def message_of(schema: str, value: Mapping[str, Any]) -> Any:  # noqa: ANN401 - 
         value: The message.
     """
     name = schema.removeprefix(FOXGLOVE)
+    # Each schema is a module of its own in that package, found by the name in our table alone.
     kind = getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
     made = kind()
     _fill(made, value)

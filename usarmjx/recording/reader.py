@@ -111,6 +111,7 @@ class Recording:
         self.end = max(part.end for part in self._parts) / NANO
         if self._skipped:
             log.warning("%s: %s", self.path, self._losses())
+        # On the instance: on the method the cache would keep closed recordings alive.
         self._records = lru_cache(maxsize=CACHED_CHUNKS)(self._read_part)
 
     @property
@@ -322,6 +323,7 @@ def _records_of(chunk: Chunk) -> list[Any]:
     """
     if chunk.uncompressed_size > MOST_BYTES:
         raise ValueError(f"a part of {chunk.uncompressed_size} bytes; at most {MOST_BYTES}")
+    # Without the check a flipped bit in a compressed chunk could pass for data.
     return breakup_chunk(chunk, validate_crc=True)
 
 

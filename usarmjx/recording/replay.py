@@ -76,6 +76,7 @@ class _ReplayedSingle:
 
     def __init__(self, setup: WorldSetup) -> None:
         (arena,) = setup.arenas
+        # Without robots: they come with the recorded inputs, at their steps.
         scene = build_scene(arena, (), setup.physics)
         self._world = SingleWorld(scene, setup.seed, setup.number, setup.seats)
 
@@ -161,6 +162,7 @@ class ReplayedBatch:
             spare=setup.spare,
         )
         scene, seed, first, shuffle = self.scene, setup.seed, setup.first, setup.shuffle
+        # Engine planar needs figures of each robot; those that are missing here are measured first.
         self._batch = build_calibrated(
             lambda: Batch(scene, setup.worlds, engine=setup.kind, seed=seed, first=first, shuffle=shuffle)
         )
@@ -201,6 +203,7 @@ class ReplayedBatch:
         blank = state.worlds.replace(key=jax.random.key_data(state.worlds.key))
         if arena is not None:
             blank = blank.replace(arena_state=arena.replace(notes={}))
+        # An engine of the host keeps its physics in NumPy arrays that it writes to, all others in JAX's.
         host = isinstance(jax.tree.leaves(state.physics)[0], np.ndarray)
         count, tree = len(jax.tree.leaves(state.physics)), jax.tree.structure((state.physics, blank))
         as_here = [np.array(one) if host and i < count else jnp.asarray(one) for i, one in enumerate(arrays)]

@@ -224,6 +224,7 @@ class Timeline:
         del drawing, frame
         if abs(self._now() - self._shown_at) >= SLIDER_PERIOD:
             self._shown_at = self._now()
+            # The slider takes multiples of its step only.
             self._slider.value = round(self._source.time / STEP) * STEP
 
 
@@ -264,6 +265,7 @@ def write_html(source: RecordingSource, path: Path, period: float = 0.1, world: 
     try:
         if world:
             page.choose_world(world)
+        # Viser's recorder of messages: it starts with all that the scene has now.
         scene = page.server.get_scene_serializer()
         count = max(1, round((source.end - source.start) / period))
         for picture in range(1, count + 1):

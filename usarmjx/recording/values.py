@@ -38,6 +38,7 @@ def _kinds() -> dict[str, type[Any]]:
         kind.__name__: kind
         for module in modules
         for kind in vars(module).values()
+        # By module: names that a module only imports are listed under their own.
         if isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == module.__name__
     }
 
@@ -79,6 +80,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
     kind = type(record)
     if _kinds().get(kind.__name__) is not kind:
         raise UsageError(f"a {kind.__name__} cannot be recorded, as only usarmjx's own values can")
+    # Not `asdict`, which would turn inner dataclasses into mappings without their kinds.
     return {KIND: kind.__name__, **{name: getattr(record, name) for name in _names(kind)}}
 
 

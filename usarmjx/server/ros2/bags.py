@@ -108,6 +108,8 @@ class BagWriter:
 
     def write(self, topic: str, kind: str, message: RosMessage, time: float, qos: Qos) -> None:
         """Write a message of a type, by its short name, at a simulated time [s]."""
+        # Simulated time for both of MCAP's times: rosbag2 plays by the log time, which a wall clock would
+        # stretch.
         stamp = round(time * NANO)
         if topic not in self._channels:
             self._channels[topic] = self._channel(topic, kind, qos)
@@ -212,6 +214,7 @@ def robot_transforms(frame: Frame, drawing: Drawing, slot: int) -> Iterator[RosM
     state: Any = frame.robots[slot]  # poses and velocities have the same names as a RobotState's
     name, time = frame_name(drawn.name), frame.time
     yield motion.base_transform(ROS2, time, name, true_estimate(state))
+    # The class may be one of a file that is not here: its origin's height is unknown then.
     if drawn.robot in ROBOTS:
         spec = ROBOTS.get(drawn.robot)
         yield motion.footprint_transform(ROS2, time, name, spec, state, drawing.floor)
@@ -333,6 +336,7 @@ def _joints(time: float, drawn: DrawnRobot, robot: RobotFrame) -> RosMessage:
         "header": ROS2.header(time, ""),
         "name": list(drawn.joints),
         "position": robot.joint_pos.tolist(),
+        # Frames do not have it; an empty list says so in a JointState.
         "velocity": [],
         "effort": [],
     }

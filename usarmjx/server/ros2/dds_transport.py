@@ -74,6 +74,7 @@ def write_raw(writer: Writer, data: bytes) -> bool:
 
 def take_raw(reader: Reader) -> Iterator[bytes]:
     """Yield the CDR of messages that have come; none of a reader that has just been deleted."""
+    # The compiled part returns a negative code in place of a list if the reader is gone.
     samples: Any = ddspy_take(reader._ref, ANY_STATE, MOST_TAKEN)
     if not isinstance(samples, int):
         # Samples without valid data only tell that a writer is gone.
@@ -269,6 +270,7 @@ class DdsTransport:
     def service(self, name: str, kind: str, take: TakeRequest) -> CycloneEndpoints:
         """Offer a service of a type such as `std_srvs/srv/Empty`."""
         self._services += 1
+        # Unique in the domain: the participant's part of a GUID, and a number of our own for the entity.
         prefix = self._participant.guid.bytes[:12] + self._services.to_bytes(4, "big")
         user_data = f"serviceid={'.'.join(f'{one:x}' for one in prefix)};typehash={service_hash(kind)};"
         writer = self._writer(f"rr{name}Reply", f"{kind}_Response", DEFAULT, user_data)
@@ -291,6 +293,7 @@ class DdsTransport:
 
     def close(self) -> None:
         """Leave the domain."""
+        # Ends the wait of the reading thread at once.
         self._closing.set(True)
         # Before anything is deleted: the thread may be inside a call on a reader.
         self._thread.join(5.0)
@@ -341,6 +344,7 @@ class DdsTransport:
     def _read(self) -> None:
         """Take what comes, until the transport closes."""
         while not self._closing.read():
+            # Not without end: readers that are attached during a wait count from the next one on.
             self._waiting.wait(WAIT_NS)
             # Only for the copy: a callback that subscribes would wait for this lock for ever.
             with self._lock:

@@ -429,6 +429,7 @@ class Ros2Server:
         """
         if self.server is None:
             raise UsageError("the ROS 2 node has no server")
+        # Joining a domain waits for the network: not in the loop.
         await asyncio.get_running_loop().run_in_executor(None, self._worker.start)
         self._robots = RosRobots(self.server, "ROS 2")
         world = WorldServices(self.server, self._topics, self._robots, self._stepped)
@@ -526,6 +527,7 @@ class Ros2Server:
             ranges = np.asarray(message["ranges"])
             return {**message, "ranges": np.where(ranges >= message["range_max"], np.inf, ranges)}
         if topic.name in ("/tf_static", "/tf") and not self._settings.publishes_map:
+            # A mapping program of the user publishes these itself: two parents of a frame would fight.
             kept = [one for one in message["transforms"] if one["header"]["frame_id"] != MAP]
             return {"transforms": kept}
         return message

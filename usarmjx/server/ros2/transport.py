@@ -157,6 +157,7 @@ def _hash(name: str, fields: Mapping[str, str], more: Mapping[str, Mapping[str, 
         # Sorted by name, as the specification of hashes (REP 2016) demands.
         "referenced_type_descriptions": [described[n] for n in sorted(described)],
     }
+    # The default separators of `json.dumps`, comma and blank, are those of the specification.
     return f"RIHS01_{sha256(json.dumps(whole).encode()).hexdigest()}"
 
 
@@ -172,6 +173,7 @@ def _field(name: str, kind: str) -> dict[str, Any]:
         "name": name,
         "type": {
             "type_id": added + number,
+            # 0 for single values and for lists of any length.
             "capacity": int(size.removeprefix("<=") or 0),
             "string_capacity": int(bound or 0),
             "nested_type_name": RosVersion.ROS2.type_name(base) if "/" in base else "",

@@ -78,6 +78,8 @@ class TransportWorker:
         self._open = open_transport
         self.counts = TransportCounts()
         self._outlets: set[Outlet] = set()
+        # `append` and `popleft` of a deque are atomic in CPython: the loop and the thread share them without
+        # a lock.
         self._jobs: deque[Callable[[Transport], None]] = deque()
         self._ready: deque[Outlet] = deque()
         self._wake, self._opened = threading.Event(), threading.Event()
@@ -107,6 +109,7 @@ class TransportWorker:
 
     def advertise(self, topic: str, kind: str, qos: Qos) -> Outlet:
         """Return the outlet of a new topic."""
+        # Latched topics are always wanted: their last message is kept for readers that come later.
         outlet = Outlet(topic, kind, qos, wanted=qos.is_latched)
 
         def make(transport: Transport) -> None:
@@ -176,6 +179,7 @@ class TransportWorker:
             self._error = error
             return
         finally:
+            # Also after an error, which `start` raises in the loop.
             self._opened.set()
         look = 0.0
         while not self._stopping:

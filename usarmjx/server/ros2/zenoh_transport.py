@@ -206,10 +206,12 @@ class ZenohTransport:
 
 
 def _config(endpoints: tuple[str, ...], listen: tuple[str, ...]) -> zenoh.Config:
+    # The variable of rmw_zenoh: a user's file is used whole, as there.
     file = os.environ.get(CONFIG_VARIABLE, "")
     if file:
         return zenoh.Config.from_file(file)
     config = zenoh.Config()
+    # A copy: tests and several sessions have endpoints of their own.
     own = dict(OWN_CONFIG)
     if endpoints:
         own["connect/endpoints"] = list(endpoints)

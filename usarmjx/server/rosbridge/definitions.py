@@ -136,12 +136,14 @@ class RosVersion(IntEnum):
 
     def fields(self, name: str) -> MessageFields:
         """Return the fields of a type, by its short name."""
+        # The version's own table first: types there have fields of other names, such as CameraInfo's.
         return _ONLY[self].get(name) or SHARED[name]
 
     def text(self, name: str) -> str:
         """Return the definition of a type with all types that it contains, in the form of bags."""
         listed, waiting, parts = [name], [name], list[str]()
         while waiting:
+            # From the front: types are listed in the order in which they are first named.
             one = waiting.pop(0)
             fields = self.fields(one)
             body = "\n".join(f"{self._spelled(kind)} {field}" for field, kind in fields.items())

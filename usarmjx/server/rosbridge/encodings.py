@@ -143,6 +143,7 @@ def _run(codes: str, paths: tuple[tuple[str, ...], ...], aligned: bool) -> _Putt
     pack, size = struct.Struct(f"<{codes}").pack, struct.calcsize(codes[0]) if aligned else 1
     # An expression is three times as quick as a loop over the paths: transforms come by the thousand.
     items = "".join("v" + "".join(f"[{name!r}]" for name in path) + ", " for path in paths)
+    # Safe: names come from `definitions`, none from a client.
     numbers: Callable[[Any], tuple[Any, ...]] = eval(f"lambda v: ({items})")
 
     def put(out: bytearray, value: Any) -> None:  # noqa: ANN401 - as `fields` say
@@ -208,6 +209,7 @@ class CdrReader:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise PeerError(f"no plain CDR: it begins with {data[:4].hex() or 'nothing'}")
         self._order = "<" if data[1] else ">"
+        # Alignment counts from behind the header of 4 bytes: it is cut off, so that offsets need no shift.
         self._data, self._at = data[4:], skip
 
     def message(self, kind: str) -> RosMessage:
@@ -229,6 +231,7 @@ class CdrReader:
             return self._list(base, length or self._number("I"), depth)
         if base == "string":
             size = self._number("I")
+            # CDR counts the terminating zero with the text.
             return self._take(size).rstrip(b"\0").decode()
         if base in FORMATS:
             return self._number(FORMATS[base])
@@ -340,6 +343,7 @@ def png_of_text(text: str) -> RosMessage:
     from PIL import Image
 
     data = text.encode()
+    # About as wide as high, as rosbridge's own; readers take the bytes of all rows together.
     width = max(1, math.isqrt(len(data) // 3))
     height = -(-len(data) // (3 * width))
     file = io.BytesIO()

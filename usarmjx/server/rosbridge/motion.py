@@ -110,6 +110,7 @@ def drift_of(state: RobotState, estimate: OdometryEstimate) -> tuple[np.ndarray,
     # Map to odom is the true pose after the inverse of the estimate, as REP 105 places the drift.
     w, x, y, z = np.asarray(estimate.quat, float)
     pos: list[Any] = estimate.pos.tolist()
+    # The conjugate of a unit quaternion is its inverse.
     turn = quat_times(list(np.asarray(state.quat, float)), (w, -x, -y, -z))
     return np.asarray(state.pos) - np.array(rotated(turn, pos)), np.array(turn)
 
@@ -424,6 +425,7 @@ class TrajectoryRun:
         times = np.concatenate(([0.0], path.times))
         knots = np.concatenate((self.before[None], path.positions))
         time = min(max(now - self.start, 0.0), float(times[-1]))
+        # Cut at both ends: there is always a knot before and one behind.
         after = min(max(int(np.searchsorted(times, time, side="right")), 1), len(times) - 1)
         span = float(times[after] - times[after - 1])
         # A first point at time 0 leaves no span: its positions hold at once.

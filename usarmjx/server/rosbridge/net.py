@@ -183,6 +183,7 @@ class RosbridgeServer:
 
     def tick(self) -> None:
         """Publish new messages to subscribers."""
+        # Set and cleared at once: all that wait now go on, and later ones wait for the next step.
         self._stepped.set()
         self._stepped.clear()
         made: dict[PublicationKey, BridgeFrame] = {}
@@ -265,6 +266,7 @@ class RosbridgeServer:
         for one in subscriptions:
             # Before rendering: a tick in the meantime must not order the same picture again.
             one.subscription.last_revision, one.subscription.due = one.revision, now + IMAGE_PERIOD
+        # Rendering takes longer than a control step: the loop steps on meanwhile.
         frames = await self._render_thread.render(views.values(), make)
         for one, frame in zip(subscriptions, frames, strict=True):
             # The client may have unsubscribed during the rendering.

@@ -121,6 +121,7 @@ def resolve(transforms: Sequence[RosMessage], request: TransformRequest) -> list
         transforms: TransformStamped of all frames.
         request: The request.
     """
+    # Frames form a tree, in which every frame has one parent.
     parents = {one["child_frame_id"]: one for one in transforms}
     here = _in_root(parents, request.target)
     found: list[tuple[str, Pose]] = []
@@ -146,6 +147,7 @@ def _in_root(parents: Mapping[str, RosMessage], frame: str) -> tuple[str, Pose] 
             break
         one = parents[frame]
         turn, shift = _pose(one["transform"])
+        # From the frame up to its root: each step puts the parent's transform in front.
         mat, pos = turn @ mat, turn @ pos + shift
         frame = one["header"]["frame_id"]
     return frame, (mat, pos)

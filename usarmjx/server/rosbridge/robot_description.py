@@ -40,6 +40,7 @@ def _add_link(root: Element, name: str, looks: Sequence[Shape], solids: Sequence
     for tag, shapes in (("visual", looks), ("collision", solids)):
         for number, shape in enumerate(shapes):
             size = _geometry(shape)
+            # Terrain has no form in URDF; robots have none.
             if size is None:
                 continue
             item = SubElement(link, tag)
@@ -55,11 +56,13 @@ def _geometry(shape: Shape) -> tuple[str, dict[str, str]] | None:
     """Return the solid of URDF that is most like a shape: a capsule is a cylinder, a mesh its box."""
     if shape.mesh is not None:
         points = np.asarray(shape.mesh.vertices, float)
+        # Viewers would need the mesh as a file of its own; a description over a topic has none.
         return "box", {"size": _numbers((2 * np.abs(points).max(0)).tolist())}
     if shape.kind == "box":
         return "box", {"size": _numbers([2 * half for half in shape.size])}
     if shape.kind in ("cylinder", "capsule"):
         radius, half = shape.size[:2]
+        # A capsule's half length is that between the centres of its balls.
         length = 2 * half + (2 * radius if shape.kind == "capsule" else 0.0)
         return "cylinder", {"radius": f"{radius:.6g}", "length": f"{length:.6g}"}
     if shape.kind in ("sphere", "ellipsoid"):

@@ -75,6 +75,7 @@ class RosRobots:
             UsageError: There is no room for it, or its name is taken.
         """
         world = self._server.world
+        # The same way as INIT over the Gamebots port, with its rules of names and poses.
         robot = spawn_from_init(world, init, spec)
         own = Client(world, self._peer)
         own.attach_robot(robot, robot.spawn_time)
@@ -187,6 +188,7 @@ def read_spawn(args: Mapping[str, Any]) -> tuple[Init, RobotSpec]:
     Raises:
         UsageError: An argument is not valid.
     """
+    # Only registered classes: a name from the network must not open a file.
     kind, name = str(args.get("class", "")), args.get("name") or ""
     if kind not in ROBOTS:
         raise UsageError(f"unknown robot {clip(kind)}; known: {', '.join(ROBOTS.names())}")

@@ -199,6 +199,7 @@ class BridgeSession:
     def __init__(self, version: RosVersion, type_of: Callable[[str], str | None]) -> None:
         self._version, self._type_of = version, type_of
         self.subscriptions: dict[str, TopicSubscription] = {}
+        # A deque with a bound drops at its other end by itself.
         self._replies: deque[str] = deque(maxlen=MAX_REPLIES)
         self._frames: Iterator[BridgeFrame] = iter(())
         self._advertised: set[str] = set()
@@ -217,6 +218,7 @@ class BridgeSession:
 
     def receive(self, text: str | bytes) -> BridgeRequest | None:
         """Take a message; return the request to the world, if any."""
+        # Before the try: an error in reading has no id to answer with.
         message: RosMessage = {}
         try:
             message = _read(text)

@@ -99,6 +99,7 @@ def sensor_topics(sensor: Sensor, origin: LatLon | None) -> Iterator[SensorTopic
 def scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
     """Return a LaserScan; our beams go from right to left, as ROS's do."""
     settings, ranges = sensor.settings[0], value.reshape(-1)
+    # Zero is straight ahead, and angles grow to the left, in both.
     first = -settings.scan_fov / 2
     return {
         "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),
@@ -295,6 +296,7 @@ def pinhole_info(
         distortion: k1 and k2 of a plumb bob.
     """
     width, height = size
+    # In pixels; pixels are square, so it is the same for both axes.
     focal = width / 2 / math.tan(fov / 2)
     # ROS counts pixels by their centres: the first is 0, so the picture's centre is half a pixel short of
     # half its side.
@@ -351,6 +353,7 @@ def occupancy_grid(version: RosVersion, floor: float, grid: Grid, filled: np.nda
             "height": grid.shape[1],
             "origin": origin,
         },
+        # Our maps have x first; ROS's rows run along x, so y comes first there.
         "data": (filled.T.reshape(-1).astype(int) * OCCUPIED).tolist(),
     }
 
