@@ -55,6 +55,8 @@ def respelt(words: Sequence[str], tell: Callable[[str], None]) -> list[str]:
         new = names.get(option)
         if new is not None:
             tell(f"{option} is called {new} now")
+        # `--old=value` is one word, `--old value` two: the value of the latter is a word of its own and
+        # passes.
         done.append(word if new is None else f"{new}{equals}{value}")
     if path not in COUNTED:
         return done

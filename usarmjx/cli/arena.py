@@ -195,6 +195,7 @@ def generate(
             "dead_ends": dead_ends,
             "radio_shadow": radio_shadow,
         }
+        # Not `own or difficulty`: 0 is a level.
         own_levels = {name: difficulty if own is None else own for name, own in levels.items()}
         level = Difficulty(**own_levels, obstacles=obstacles, risk=risk)
         arena = make(kind, read_size(size), seed, level, robot, reachable, victims, starts)

@@ -278,6 +278,7 @@ def sample_message(kind: str) -> str:
     if kind == "ObjectSensor":  # its objects are the world's
         return line_of(sen_objects(None, kind, [("crate", (1.5, -0.2, -0.1), (0.0, 0.0, 0.3))]))
     (sensor,) = suite_with(kind, SHORT_OPTIONS.get(kind, ())).sensors
+    # Zeros in the right number: the message then shows its form at least.
     numbers = SAMPLES.get(kind, np.zeros(max(1, total_size(sensor.quantities))))
     message = sensor_report(sensor, np.array(numbers, np.float32), MESSAGE_TIME)
     return "" if message is None else line_of(message)

@@ -55,6 +55,7 @@ class ErrorExit:
         self._warnings = warnings.catch_warnings()
         self._warnings.__enter__()
         warnings.simplefilter("always", RenamedSettingWarning)
+        # Other warnings keep the form that Python, or pytest, gives them.
         usual = warnings.showwarning
 
         def report(message: Warning | str, category: type[Warning], *where: Any) -> None:  # noqa: ANN401
@@ -72,6 +73,7 @@ class ErrorExit:
         if isinstance(error, OSError) and (reason := disk_error(error)):
             name = str(error.filename or "the output")
             text = f"{name if len(name) <= MAX_QUOTATION else f'{name[:MAX_QUOTATION]}...'}: {reason}"
+        # Any other exception is a bug of ours: its traceback is what helps.
         if text is None:
             return False
         with suppress(OSError):  # the error stream may go to the same disk
@@ -214,6 +216,7 @@ def set_pieces(ctx: typer.Context, pieces: int | None) -> int | None:
     if pieces is not None and not ctx.resilient_parsing:
         from usarmjx.models.files.resources import cut_meshes
 
+        # Undone at the end, as `search_packages`.
         ctx.call_on_close(cut_meshes(pieces))
     return pieces
 
@@ -331,6 +334,7 @@ class CompilationWatch:
         self._compiling: set[int] = set()  # threads in which XLA may be at work
         self._begun, self._last, self._next = 0.0, -1e9, FIRST
         self._is_over = False  # an end was reported
+        # JAX calls its listeners in the threads that compile, the watch looks from its own.
         self._lock = threading.Lock()
 
     def heard(self, event: str, duration: float, now: float, thread: int = 0) -> None:

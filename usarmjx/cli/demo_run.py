@@ -237,6 +237,7 @@ def run_controller(port: int, seconds: float, log: Path, console: Console) -> No
     command += ["--seconds", str(seconds), "--json", str(log.resolve())]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
     assert process.stdout is not None
+    # Three times real time: slow machines simulate slower than that only when something is wrong.
     watchdog = Timer(START_LIMIT + 3 * seconds, process.kill)
     watchdog.start()
     columns = (
@@ -250,6 +251,7 @@ def run_controller(port: int, seconds: float, log: Path, console: Console) -> No
             for line in process.stdout:
                 if found := SIMULATED.match(line):
                     progress.update(task, completed=min(float(found.group(1)), seconds))
+            # The standard output is read to its end above: this collects the errors and the status.
             _, complaint = process.communicate()
             if process.returncode == 0:
                 progress.update(task, completed=seconds)

@@ -138,6 +138,7 @@ def check_devices() -> Iterator[Finding]:
     try:
         import jax
 
+        # The first call starts the backends, and raises if one of them fails.
         devices = jax.devices()
     except (ImportError, RuntimeError) as error:
         yield Finding("devices", "wrong", f"JAX does not start: {quoted(error)}", "install jax again")

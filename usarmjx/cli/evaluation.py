@@ -128,6 +128,7 @@ def _compare(
         check_figure(out)  # before minutes of play
     overrides, _ = task_settings(task, {}, pairs)
     played, seen = yardsticks.team_task(task, **overrides), TeamWays()
+    # Each team once, in the order in which they are named.
     chosen = list(dict.fromkeys(names)) if names else None
     watch = yardsticks.ignore if out is None else seen
     how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)

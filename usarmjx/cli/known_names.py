@@ -140,10 +140,12 @@ def _may_be_new(kind: str, name: str) -> bool:
     if kind in ("task", "baseline") and (":" in name or name.endswith(".py")):
         return True
     module, _ = REGISTRIES[kind]
+    # Its registry was asked above: the sources have no more.
     if module in sys.modules:
         return False
     folder = PACKAGE.joinpath(*module.split(".")[1:])
     sources = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
+    # Registries take their names as texts in double quotes, as the formatter writes them.
     quoted = f'"{name.lower()}"'
     return any(quoted in file.read_text(encoding="utf-8").lower() for file in sources)
 

@@ -65,6 +65,7 @@ def commands_of(app: typer.Typer) -> Iterator[tuple[str, Any]]:
 
 
 def _below(group: Any, path: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - click's, or typer's own copy
+    # Sorted: the page must not change with the order of the help.
     for name in sorted(group.commands):
         command = group.commands[name]
         if hasattr(command, "commands"):
@@ -80,6 +81,7 @@ def options_of(command: Any) -> list[tuple[str, str, str]]:  # noqa: ANN401 - cl
         if getattr(one, "hidden", False) or one.name == "help":
             continue
         if one.param_type_name == "argument":
+            # Click writes optional arguments in brackets and repeated ones with dots.
             names = (one.metavar or one.name.upper()).strip("[].") + (" ..." if one.nargs < 0 else "")
         else:
             names = f"`{', '.join([*one.opts, *one.secondary_opts])}`"

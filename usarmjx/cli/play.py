@@ -137,6 +137,7 @@ def _policy_worlds(
 
     source = _followed(driver.policy, driver.task) if served.follow else driver.source()
     env, policy = driver.env(source, served.worlds, engine)
+    # All worlds of the batch step at once: one policy call serves them all.
     shared = PolicyBatch(env, policy, seed=driver.seed)
     made = [PolicyWorld(shared, instance) for instance in instances]
     typer.echo(f"robots to take over by INIT: {', '.join(made[0].agents())}")

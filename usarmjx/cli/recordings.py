@@ -150,6 +150,7 @@ def view(
         with viewer_socket(HOST, viewer_port, 0, True) as bound:
             assert bound is not None
             page, timeline = recording_page(source, viewer_server(bound, HOST))
+            # Ctrl-C is the way to end a page that is looked at.
             with contextlib.suppress(KeyboardInterrupt):
                 while True:
                     timeline.tick()

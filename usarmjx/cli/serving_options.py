@@ -401,6 +401,7 @@ def bot_settings(
     from usarmjx.server.protocol.dialects import find_dialect
 
     spoken = find_dialect(dialect)
+    # From weak to strong: the dialect's default, the ini file, the option below.
     given = {"max_connections": spoken.max_connections, **read_bot_server(ini or ())}
     read = BotServerSettings(host, init_timeout=init_timeout, access=rules, dialect=spoken, **given)
     return replace(
@@ -446,6 +447,7 @@ def metrics_socket(host: str, port: int | None, offset: int) -> Generator[socket
     if port is None:
         yield None
         return
+    # 0 means any free port, which an offset would turn into a fixed one.
     port = port + offset if port else 0
     if port > LAST_PORT:
         raise UsageError(f"--metrics-port leads to port {port}; the last one is {LAST_PORT}")
@@ -678,6 +680,7 @@ class Host:
             add_viewer(servers, controls, ports.page, services.viewer, radio, self.layers)
         with recorded(worlds, self.run.record, radio) as file:
             if file is not None:
+                # When a signal ends the process at once, the process waits until the file is complete.
                 signals.finish_files(file.close)
             run(servers, clock, signals)
 

@@ -56,6 +56,7 @@ def with_settings(command: F) -> F:
         command: A function. A parameter whose type is a dataclass is made from the options; its default, if
             there is one, has the settings that hold where an option is not given.
     """
+    # Resolved here: annotations of modules with postponed evaluation are texts.
     kinds = get_type_hints(command, include_extras=True)
     parameters: list[inspect.Parameter] = []
     groups: dict[str, tuple[type, object]] = {}
@@ -194,6 +195,7 @@ def _options_of(kind: type, base: object) -> list[inspect.Parameter]:
 def _in_panel(hint: Any, note: ParameterInfo, panel: str | None) -> Any:  # noqa: ANN401 - annotations
     if panel is None or note.rich_help_panel is not None or not isinstance(note, OptionInfo):
         return hint  # arguments have a panel of their own
+    # A copy: the note belongs to an alias that other commands use, with another panel.
     moved = copy(note)
     moved.rich_help_panel = panel
     return Annotated[get_args(hint)[0], moved]

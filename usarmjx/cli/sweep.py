@@ -242,6 +242,7 @@ def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:
 
     if not texts:
         return {}
+    # Types of fields depend on the task: `--set task=` changes it before all others are read.
     tasks = [texts["task"]] if "task" in texts else [cell["task"] for cell in load_spec(file).cells]
     return typed_settings(texts, tasks)
 

@@ -60,6 +60,7 @@ class Listing:
         padded = [
             "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines
         ]
+        # The last column would end in blanks.
         return "\n".join(line.rstrip() for line in padded)
 
     def show(self, console: Console) -> None:
@@ -69,6 +70,7 @@ class Listing:
             table.add_column(column, style="bold" if not number else None, no_wrap=not number)
         for row in self.rows:
             table.add_row(*(str(cell) for cell in row))
+        # Names and units in square brackets are no markup of Rich's.
         console.print(table, markup=False)
 
 

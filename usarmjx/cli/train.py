@@ -89,6 +89,7 @@ class ClippedTraining:
         from usarmjx.plots.play import Clips
         from usarmjx.train.learning.tensorboard import TensorBoardLog
 
+        # Agent steps are the axis of TensorBoard's other curves.
         agents = sum(len(group.agents) for group in env.groups)
         steps = config.rollout_length * config.num_worlds * agents
         # A file of its own, as the curves' is held by the training; TensorBoard shows it as a run beside it.
@@ -370,6 +371,7 @@ def _train_and_show(task: str, options: TrainOptions, shown: _Shown) -> None:
             watchers.append(_RecordedTraining(shown.record, shown.record_every))
         if shown.clips and process.index == 0:
             watchers.append(ClippedTraining(options.out, shown.clips, shown.wandb is not None))
+        # In every process: each has worlds of its own.
         watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
         with stop_request() as stop:
@@ -379,6 +381,7 @@ def _train_and_show(task: str, options: TrainOptions, shown: _Shown) -> None:
             typer.echo(score)
         if stopped:
             say(f"go on with: usarmjx train {task} --out {options.out} --resume")
+            # As shells report a process that a signal has ended.
             raise typer.Exit(128 + stop.number)
 
 
@@ -410,6 +413,7 @@ def _served(run: Path, task: str, port: int, wanted: bool, offset: int = 0) -> G
 
     if os.name == "nt":
         raise UsageError(f"train --serve needs POSIX: run `usarmjx play {run} --serve --follow` beside it")
+    # A process, not a thread: Python would share its time between the training and the server.
     command = [sys.executable, "-m", "usarmjx", "play", str(run), "--serve", "--follow", "--port", str(port)]
     command += ["--port-offset", str(offset)] if offset else []
     if is_own(task):

@@ -69,6 +69,7 @@ def viewer_socket(host: str, port: int | None, offset: int, wanted: bool) -> Gen
     try:
         bound = _listening(host, number)
     except UsageError:
+        # A port that is asked for is not replaced silently.
         if port is not None:
             raise
         bound = _listening(host, 0)

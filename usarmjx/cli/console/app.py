@@ -614,6 +614,7 @@ class ConsoleApp(App[str]):
         self._offers.update(Text("  ".join(words)))
 
     async def _learn_classes(self, load: Callable[[], Sequence[str]]) -> None:
+        # In a thread: the import takes a second, in which the panes would stand still.
         self._robot_classes = await asyncio.to_thread(load)
 
     async def on_input_submitted(self, event: Input.Submitted) -> None:

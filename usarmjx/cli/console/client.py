@@ -127,6 +127,7 @@ class ConsoleClient:
         self.close()
         self.knowledge = Knowledge()
         try:
+            # The system's own limit for a connection is minutes.
             async with asyncio.timeout(TIMEOUT):
                 self._reader, self._writer = await asyncio.open_connection(self.host, self.port)
         except (OSError, TimeoutError) as error:

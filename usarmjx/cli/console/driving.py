@@ -53,6 +53,7 @@ class CameraAim:
         if not name:
             return []
         low, high = known.fov_limits.get(name, (0.0, math.pi))
+        # By a factor, not by a difference: each step then looks alike at any zoom.
         fov = min(max(known.fovs[name] * ZOOM_FACTOR**steps, low), high)
         known.fovs[name] = fov
         return [f"SET {{Type Camera}} {{Name {name}}} {{FOV {fov:.4f}}}"]
@@ -222,6 +223,7 @@ class KeyDriver:
             return [("Speed", ahead), ("FrontSteer", steer), *rear]
         if known.steering == "OmniDrive":
             front, back = OMNI_WHEELS
+            # A quarter of the lock: wheels that turn against each other double the curve.
             wheels = ((front, steer / 4), (back, -steer / 4))
             return [
                 pair

@@ -178,6 +178,7 @@ class Knowledge:
             wanted += [f"GETGEO {{Type {kind}}}" for kind in (*ASKED_TYPES, *SENSOR_TYPES, *self.items)]
             wanted += [f"GETCONF {{Type {kind}}}" for kind in (*ASKED_TYPES, *self.items)]
         new = [line for line in dict.fromkeys(wanted) if line not in self._asked]
+        # Also of a question without an answer: to ask again with each message would flood the server.
         self._asked.update(new)
         return new
 

@@ -97,6 +97,7 @@ def decode(number: int, data: bytes) -> Image.Image:
 
 def half_blocks(image: Image.Image, width: int, height: int) -> HalfBlocks:
     """Return a picture as characters, in proportion and as large as fits into the given columns and rows."""
+    # A character is about twice as high as wide, and shows two pixels.
     scale = min(width / image.width, 2 * height / image.height)
     columns = max(1, min(width, round(image.width * scale)))
     rows = max(1, min(height, round(image.height * scale / 2)))
