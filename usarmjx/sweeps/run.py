@@ -71,6 +71,7 @@ class SweepPlan:
         sizes = sorted({len(batch) for group in self.groups for batch in group.batches})
         each = f"{sizes[0]}" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
         said = f"{_many(cells, 'cell')} in {_many(self.batches, 'batch')} of {each}, "
+        # JAX compiles once for each group: all its batches have the same size.
         said += f"{_many(len(self.groups), 'compilation')}"
         if self.differing:
             parts = ", ".join(f"{what} ({count} kinds)" for what, count in self.differing.items())
@@ -128,6 +129,7 @@ Sink = Callable[[CellRecord], None]
 def numbers_of(record: CellRecord) -> dict[str, float]:
     """Return the numbers shown of a cell: mean score, means of the metrics, numbers among its settings."""
     good = record.good
+    # Of no numbers the mean would be NaN, with a warning of NumPy.
     shown = {"score": float(scores_of(record).mean())} if good else {}
     for name, values in record.metrics.items():
         if good:
@@ -170,6 +172,8 @@ def wandb_sink(project: str, name: str) -> Sink:
     def show(record: CellRecord) -> None:
         config = {key: as_text(value) for key, value in record.settings.items()}
         try:
+            # Without `reinit`, `init` returns the run of the cell before, which then gets the numbers of
+            # both.
             run = module.init(
                 project=project, group=name, name=record.key, config=config, reinit="finish_previous"
             )
@@ -334,6 +338,7 @@ def batches_of(prepared: Prepared) -> list[BatchWork]:
         for place in group.cells:
             kin.setdefault(prepared.buildings[place], prepared.cells[place][1])
         for batch in group.batches:
+            # The engine is part of the signature, so the first cell's is that of the group.
             works.append(
                 BatchWork(
                     group=name.hexdigest(),
@@ -392,6 +397,7 @@ def play_prepared(
         WriteError: The folder cannot be written to.
     """
     workers, say = workers or Workers(), say or (lambda line: None)
+    # Before the first cell is played: an interrupted sweep can be read as far as it came.
     write_sweep(folder, spec.name, spec.about, spec.axes, prepared.keys, spec.sampled, spec.normalise)
     if prepared.known:
         say(f"{prepared.known} of {len(spec.cells)} cells are there already")
@@ -421,6 +427,7 @@ def play_prepared(
                 works = suspects
     finally:
         progress.close()
+    # From the folder, which also has the cells of earlier runs.
     return read_sweep(folder)
 
 
@@ -435,6 +442,7 @@ class _Keeper:
 
     def __init__(self, folder: Path, progress: SweepProgress, sinks: Sequence[Sink]) -> None:
         self._folder, self._progress, self._sinks = folder, progress, sinks
+        # One thread: batches are written in order, and each starts `WRITERS` threads of its own.
         self._writer = ThreadPoolExecutor(1)
         self._pending: tuple[Future[None], Sequence[CellRecord], str] | None = None
         self._counted = False

@@ -147,6 +147,7 @@ def parts() -> dict[str, tuple[str, ...]]:
         name: tuple(one.name for one in describe(kind) if one.name not in NO_PARTS)
         for name, kind in part_classes().items()
     }
+    # `level` stands for the field `levels`, which `NO_PARTS` takes out.
     return {**found, "arena": ("level", *found["arena"])}
 
 
@@ -173,6 +174,7 @@ def flatten(given: object, where: str) -> dict[str, Any]:
         within = {f"{key}.{p}": v for p, v in value.items()} if nested else {str(key): value}
         for name, own in within.items():
             check_key(name, line)
+            # The nested and the flat form of a name may stand side by side in one mapping.
             if name in flat:
                 raise UsageError(f"{line} has {name} twice")
             flat[name] = own
@@ -186,6 +188,7 @@ def check_key(key: str, where: str) -> None:
         UnknownNameError: Names the key, and the known ones.
     """
     first, dot, part = key.partition(".")
+    # The task decides which fields there are: `resolve` checks these.
     if dot and first == FIELDS and part:
         return
     if dot and first in parts():
@@ -213,6 +216,7 @@ def complete(settings: CellSettings, where: str) -> dict[str, Any]:
     whole = {name: value for name, value in full.items() if name in NAMES}
     default_reader().values(Cell, whole, where=where)
     full["policy"] = rename_policy(full["policy"])
+    # In one order: `read_spec` compares cells by their text.
     return dict(sorted(rename_tasks(full, newest_name).items()))
 
 
@@ -485,6 +489,7 @@ def _sample(sample: SampleSettings | None) -> list[dict[str, Any]]:
 
 
 def _check_span(key: str, span: object) -> None:
+    # A stand-in for another form, which fails the check below, so that one message serves for all faults.
     pair: list[Any] = span if is_list(span) and len(span) == 2 else [None, None]
     fine = all(isinstance(one, int | float) and not isinstance(one, bool) for one in pair)
     if not fine or not np.isfinite(pair).all() or pair[0] > pair[1]:
@@ -495,8 +500,10 @@ def _points(count: int, size: int, method: str, seed: int) -> np.ndarray:
     """Return points of the unit cube (count, size)."""
     if method == "random":
         return np.random.default_rng(seed).random((count, size))
+    # SciPy's statistics take a second or two to import, and most sweeps draw no points.
     from scipy.stats import qmc
 
+    # One point in each of `count` slices of every range: few points then cover each range evenly.
     return qmc.LatinHypercube(size, rng=seed).random(count)
 
 

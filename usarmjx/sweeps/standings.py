@@ -136,6 +136,7 @@ def _notes(results: Sequence[RunResult]) -> tuple[str, ...]:
         kinds = sorted({getattr(one, what) for one in results})
         if len(kinds) > 1:
             found.append(f"computed with more than one {what}: {', '.join(kinds)}")
+    # Many cells of a run carry the same note.
     return tuple(dict.fromkeys(found))
 
 
@@ -149,6 +150,7 @@ def _of_task(task: str, results: Sequence[RunResult], suite: BenchmarkSuite) -> 
     shared = first.intersection(*others)
     if not shared:
         raise UsageError(f"{task}: the methods have no settings in common")
+    # Sorted: a set of texts has another order in each process, and with it the tables.
     keys = sorted(shared)
     tables = {method: _table(runs, keys) for method, runs in by_method.items()}
     # As many buildings as all have, from the first on: the order of buildings is fixed, so these are the
@@ -294,6 +296,7 @@ def leaderboard_page(results: Sequence[RunResult]) -> str:
     for name in sorted({one.suite for one in played}):
         own, suite = [one for one in played if one.suite == name], load_suite(find_suite(name))
         text = standings_report(standings_of(own, suite))
+        # The report's first line names suite and split, which the heading does here.
         lines += ["", f"## {name}", "", suite.file.about, "", *text.splitlines()[1:], "", "**runs**", ""]
         head = ["method", "run", "commit", "card", "jax", "when", "policies"]
         lines += aligned(head, [_run_row(one) for one in own])
@@ -301,6 +304,7 @@ def leaderboard_page(results: Sequence[RunResult]) -> str:
 
 
 def _run_row(one: RunResult) -> list[str]:
+    # A policy for all tasks has the same hash in each of them.
     hashes = ", ".join(dict.fromkeys(one.policies.values()))
     jax = str(one.versions.get("jax", ""))
     return [one.method, f"`{one.run}`", one.commit, one.card, jax, one.when[:10], hashes]
@@ -357,11 +361,13 @@ def check_origin(result: RunResult, suite: BenchmarkSuite, run: str | None = Non
     """
     if result.suite_digest != suite.digest:
         raise UsageError(f"{result.method}: results of suite {result.suite_digest}, this is {suite.digest}")
+    # By a policy that needs no file: only the tasks are wanted.
     tasks = {cell["task"] for cell in suite.spec(result.split, result.method, [RANDOM]).cells}
     for cell in result.cells:
         task = cell.settings["task"]
         if task not in tasks:
             raise UsageError(f"{result.method}: suite {suite.name} has no task {shown(task)}")
+        # `replay` plays the policy of the cell; the checks below look at the policy of the run.
         if cell.settings["policy"] != policy_of_run(result.run, task):
             raise UsageError(f"{result.method}, {task}: is not played by the run {shown(result.run)}")
     for task in dict.fromkeys(cell.settings["task"] for cell in result.cells):
@@ -413,6 +419,7 @@ def replay(
         if now.failed is not None:
             raise UsageError(f"{result.method}, {settings['task']}: {now.failed}")
         count: int = settings["episodes"]
+        # Scores compare in the same buildings only, and a newer generator may draw others.
         found.append(
             ReplayedCell(
                 task=settings["task"],

@@ -151,6 +151,7 @@ def write_cell(folder: Path, record: CellRecord) -> None:
     """
     content = {one.name: getattr(record, one.name) for one in fields(record)}  # `asdict` copies each number
     with atomic_write(folder / CELLS / f"{record.key}.json") as fresh:
+        # With an indent each number of a row would have a line of its own.
         fresh.write_text(kept_text(content, indent=None), encoding="utf-8")
 
 
@@ -203,6 +204,7 @@ def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
         record = CellRecord(**{**content, **numbers})
         if "policy" in record.settings.keys():  # noqa: SIM118 - a mapping, or none that is whole
             record.settings["policy"] = rename_policy(record.settings["policy"])
+        # Cells that were kept before a task was renamed have its name of that time.
         record = replace(record, settings=rename_tasks(record.settings, recorded_name))
         rows: list[tuple[Any, ...]] = [record.steps, record.bad, *record.metrics.values()]
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:

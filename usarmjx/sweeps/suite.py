@@ -105,6 +105,7 @@ def _kept(one: CellRecord) -> dict[str, Any]:
     row["scores"] = _short(one.scores)
     row["metrics"] = {name: _short(values) for name, values in one.metrics.items() if name in REPORTED}
     row["seconds"], row["compile_seconds"] = _short([one.seconds, one.compile_seconds])
+    # Versions stand once in the whole result, and `run_suite` refuses cells that failed.
     return {name: value for name, value in row.items() if name not in ("versions", "failed")}
 
 
@@ -128,6 +129,7 @@ def read_result(file: Path) -> RunResult:
         policies=rename_keys(found.policies, recorded_name),
         cells=tuple(replace(one, settings=rename_tasks(one.settings, recorded_name)) for one in found.cells),
     )
+    # Results come from others: a fault shows here with its file, not in a table later.
     for number, one in enumerate(result.cells, 1):
         if fault := _fault(one):
             raise UsageError(f"{file}: cell {number}: {fault}")
@@ -176,6 +178,7 @@ def commit_here() -> str:
     # Of the code's folder, not the working directory, which may be another checkout.
     git = ["git", "-C", str(Path(__file__).parent)]
     try:
+        # -uno: files that git does not know, as results, are no change of the code.
         words = [
             subprocess.run([*git, *more], capture_output=True, text=True, check=True, timeout=10).stdout
             for more in (("rev-parse", "--short=12", "HEAD"), ("status", "--porcelain", "-uno"))
@@ -287,6 +290,7 @@ def _cell(settings: dict[str, Any], episodes: int) -> dict[str, Any]:
     whole = {**settings, "policy": policy_of_run(str(settings["policy"]), settings["task"])}
     # By a policy that needs no file: only the number of levels is wanted.
     levels = resolve({**whole, "policy": "random", "episodes": 1}).levels
+    # Rounded up: each level has at least as many buildings as episodes.
     return {**whole, "arena.count": -(-episodes // levels)}
 
 
@@ -302,6 +306,7 @@ def load_suite(path: Path) -> BenchmarkSuite:
     text = json.dumps(_with_key_names(plain), sort_keys=True, default=str)
     file = default_reader().from_data(SuiteFile, given)
     file = replace(file, **{name: rename_keys(getattr(file, name), newest_name) for name in ("zero", "one")})
+    # As plain data: `spec` joins them with settings that have no lines of a file.
     parts = {name: plain.get(name) for name in ("common", "product", "list")}
     digest = hashlib.sha256(text.encode()).hexdigest()[:12]
     return BenchmarkSuite(name=path.stem, digest=digest, file=replace(file, **parts))

@@ -87,6 +87,7 @@ def check_table(path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: tables end in {', '.join(SUFFIXES)}")
+    # The command line checks before hours of play, so a missing package shows by then.
     if path.suffix.lower() != ".csv":
         _parquet_writer()
 

@@ -89,6 +89,7 @@ def work_in_processes(
                     fault = f"its worker was lost {TRIES} times{reasons[number]}"
                 yield number, value, fault
     finally:
+        # A caller that stops before the last result comes here, too.
         _end([*idle, *busy.values()])
 
 
@@ -173,6 +174,7 @@ def _end(workers: Sequence[_Worker]) -> None:
     # All are asked to end before any is waited for.
     for worker in there:
         worker.close()
+        # A worker amid a piece does not read its pipe, so the pipe's end alone would not end it.
         worker.process.terminate()
     for worker in there:
         worker.process.join(GRACE)
@@ -187,6 +189,7 @@ def _serve(work: PieceWork, connection: Connection, device: str | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, who ends this process
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if device is not None:
+        # Before the first piece: CUDA reads the variable once, when JAX starts its backend.
         os.environ["CUDA_VISIBLE_DEVICES"] = device
     while True:
         try:
@@ -216,6 +219,7 @@ def _end_with_parent() -> None:
     if parent is not None:
         # Daemon processes end only if their parent ends in order; SIGKILL gives it no time for that.
         parent.join()
+        # `sys.exit` would end this thread only.
         os._exit(1)
 
 
@@ -251,6 +255,7 @@ def end_with_this_process(processes: set[str]) -> "subprocess.Popen[bytes] | Non
     assert guard.stdin is not None
     guard.stdin.write("".join(f"{one}\n" for one in sorted(processes)).encode())
     guard.stdin.flush()
+    # The pipe stays open: its end is the sign that this process has ended.
     return guard
 
 
@@ -274,6 +279,7 @@ def work_on_ray(
         raise UsageError(
             f"running on ray needs Ray: {install_command('sweep')}; or run on processes"
         ) from error
+    # A connection that the caller made is the caller's to close.
     connection = None if ray.is_initialized() else _Connection(ray, address)
     try:
         yield from _by_actors(ray, work, pieces, count, connection)
@@ -433,6 +439,7 @@ def _result(ray: Any, done: Any) -> tuple[Any, str | None, bool]:  # noqa: ANN40
     try:
         return ray.get(done), None, False
     except ray.exceptions.RayTaskError as error:
+        # The error itself has the whole traceback of the worker as its text.
         return None, quoted(getattr(error, "cause", None) or error), False
     except ray.exceptions.RayError as error:  # out of memory, lost objects and nodes, dead workers
         return None, f"{type(error).__name__}: {quoted(error)}", True
@@ -494,6 +501,7 @@ def gpus() -> int:
     """Return the number of NVIDIA GPUs that this process may use."""
     said = os.environ.get("CUDA_VISIBLE_DEVICES")
     if said is not None:
+        # An empty text or -1 hides all GPUs.
         return len([one for one in said.split(",") if one.strip() and one.strip() != "-1"])
     if shutil.which("nvidia-smi") is None:
         return 0
@@ -512,4 +520,5 @@ def _devices(count: int) -> list[str | None]:
     there = gpus()
     if not there:
         return [None] * count
+    # The variable may hold UUIDs, or numbers that do not begin at 0.
     return [said[worker % there] if said else str(worker % there) for worker in range(count)]

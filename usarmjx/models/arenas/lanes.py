@@ -77,6 +77,7 @@ def hurdle(at: Position2D, height: float, *, yaw: float = 0.0, width: float = CE
 
     Its pipe does not turn, unlike that of ASTM E2802.
     """
+    # No beam where the pipe alone is as high.
     beam = height - STEP_PIPE_DIAMETER * OCTAGON_APOTHEM
     top = pipe(at, width, diameter=STEP_PIPE_DIAMETER, z=beam, yaw=yaw + math.pi / 2)
     return (
@@ -111,6 +112,7 @@ def lane_of(
         top: Height of its far end [m].
         twice: Whether there and back is one repetition.
     """
+    # As thick as it is high: a deck on the floor, with no room below it.
     end = (
         (deck((length, -END_LENGTH / 2), (length + END_LENGTH, END_LENGTH / 2), top, thickness=top),)
         if top

@@ -264,6 +264,7 @@ def _boxes_at(grid: PostHeights, post: tuple[int, int], height: int) -> list[tup
         row = grid[last]
         if row[column] < height:
             break
+        # The box narrows from row to row to the nearest lower posts, or the edges, beside its column.
         left = max(left, *(j + 1 for j in range(-1, column) if j < 0 or row[j] < height))
         right = min(right, *(j for j in range(column, len(row) + 1) if j == len(row) or row[j] < height))
         boxes.append((first, last + 1, left, right))
@@ -344,6 +345,7 @@ def _runs(cells: list[bool]) -> list[tuple[int, int]]:
     """Return (start, stop) of each run of true cells, so that a straight wall is one box."""
     runs: list[tuple[int, int]] = []
     start = None
+    # The False at the end closes a run that reaches the last cell.
     for i, filled in enumerate([*cells, False]):
         if filled and start is None:
             start = i
@@ -384,6 +386,7 @@ def walls(
         boxes.append(Shape(kind="box", size=half, at=centre, surface="wall", rgba=WALL_RGBA))
 
     for line in range(lines + 1):
+        # Rows of text go down, y goes up.
         y = (lines - line) * cell
         along = [rows[2 * line][3 * column + 1] == "-" for column in range(columns)]
         for start, stop in _runs(along):
@@ -503,6 +506,7 @@ def paper(at: Position2D, *, yaw: float = 0.0) -> Shape:
 def pallet(at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> tuple[Shape, ...]:
     """Return a pallet of 1200 x 800 x 144 mm (EN 13698-1) with a closed deck on three runners."""
     cos, sin = math.cos(yaw), math.sin(yaw)
+    # The outer runners end with the deck: 0.35 m and half a runner are half of 0.8 m.
     runners = (
         block(
             (at[0] - side * 0.35 * sin, at[1] + side * 0.35 * cos), (1.2, 0.1, 0.1), z=z, yaw=yaw, rgba=WOOD
@@ -627,6 +631,7 @@ def pipe_steps(
         middle = (near + far) / 2
         at = (foot[0] + middle * along[0], foot[1] + middle * along[1])
         edge = (foot[0] + near * along[0], foot[1] + near * along[1])
+        # An octagon on its side is not as high as its circle.
         low = top - STEP_PIPE_DIAMETER * OCTAGON_APOTHEM
         shapes.append(block(at, (far - near, width, top), yaw=uphill, rgba=WOOD))
         shapes.extend(pipe(edge, width, diameter=STEP_PIPE_DIAMETER, z=low, yaw=uphill + math.pi / 2))

@@ -306,6 +306,7 @@ def car_wheel(
     name, joints = tyre.name, (spring is not None) + (steer is not None)
     # Every body of a joint needs a mass; these are hidden within the tyre and have no contacts.
     size = (tyre.shapes[0].size[1],)
+    # The bodies of both joints share the hub's mass.
     knuckle = Shape(kind="sphere", size=size, mass=hub / max(1, joints), surface="fixture", rgba=BLACK)
     parts: list[Part] = []
     parent, at = tyre.parent, tyre.at
@@ -482,6 +483,7 @@ class Belt:
     def driven(self, part: Part, *, sprocket: bool = False) -> Part:
         """Return a wheel with the cleats that pass it as visuals, which thus run at the belt's speed."""
         radius = part.shapes[0].size[0]
+        # A bar is two cleats, so half the circumference counts.
         bars = max(3, round(math.pi * radius / (CLEAT_PITCH * self.cleat)))
         side = sprocket_looks(0.66 * radius, self.width, self.trim) if sprocket else self._bearing(radius)
         return replace(part, looks=(*cleats(radius, self.width, bars, 0.9 * self.cleat), *side))
@@ -491,12 +493,14 @@ class Belt:
         outer = (self.radius, self.radius) if radii is None else radii
         # The belt itself lies within the cleats, whose tips reach the radius that touches the ground.
         first, last = (radius - self.cleat for radius in outer)
+        # Narrower than the cleats, so that their sides do not lie in one plane.
         return belt_looks(front, rear, (first, last), 0.96 * self.width)
 
 
 def _with_cleats(belt: Belt, row: Sequence[Part]) -> tuple[Part, ...]:
     """Return a row of wheels, some with cleats, spaced so that the belt's cleats show no gap."""
     apart = abs(row[0].at[0] - row[-1].at[0]) / (len(row) - 1)
+    # Chord of the wheel at a cleat's depth; the cleat's square under the root is left out as small.
     shown = 2 * math.sqrt(2 * belt.radius * belt.cleat)  # along the belt, of a wheel's cleats
     step = max(1, round(shown / apart))
     ends = (0, len(row) - 1)
@@ -613,6 +617,7 @@ class Flippers:
         wheels are similar.
         """
         radii = [root * (self.tip / root) ** (i / self.count) for i in range(1, self.count + 1)]
+        # Straight edges: the radius falls evenly with the distance from the hinge.
         return [(self.length * (root - radius) / (root - self.tip), radius) for radius in radii]
 
     def _arm(self, out: int, belt: Belt) -> Shape:
@@ -639,6 +644,7 @@ def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:
     wheels = [part for part in parts if part.is_wheel]
     left = [part for part in wheels if side(part) < 0]
     right = [part for part in wheels if side(part) > 0]
+    # At one belt speed a small wheel turns faster.
     return Tracks(
         left=tuple(part.name for part in left),
         right=tuple(part.name for part in right),

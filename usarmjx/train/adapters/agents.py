@@ -201,6 +201,7 @@ class ActionGrid:
         if self.chooses:
             return np.eye(self.size, dtype=np.float32)
         values = np.linspace(-1.0, 1.0, self.bins, dtype=np.float32)
+        # Without `ij` meshgrid swaps the first two axes, and the last action would not vary fastest.
         return np.stack(np.meshgrid(*[values] * self.size, indexing="ij"), -1).reshape(-1, self.size)
 
     def chosen(self, choices: Any, xp: ModuleType = np) -> Any:  # noqa: ANN401 - arrays of `xp`

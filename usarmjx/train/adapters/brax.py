@@ -67,6 +67,7 @@ class BatchedRobots(BraxEnv):
         # Brax hands out keys of JAX's earlier kind, which are plain numbers.
         if not jnp.issubdtype(rng.dtype, jax.dtypes.prng_key):
             key = cast(Any, jax.random).wrap_key_data(rng)  # whose result jax leaves without a type
+        # Brax's learners pass a key for each row of the batch; all worlds here follow from one.
         seed = jax.random.randint(jnp.ravel(key)[0], (), 0, MAX_SEED)
         return self._state(self.env.reset(seed if self.env.traceable else int(seed)))  # type: ignore - traced
 

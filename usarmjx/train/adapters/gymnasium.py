@@ -464,6 +464,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Return infos of which agents of each environment are alive (num_envs, agents)."""
         if s.alive is None or s.final_alive is None:
             return {}
+        # `_rows` makes numbers of masks.
         now, end = self._rows(s.alive) > 0, self._rows(s.final_alive) > 0
         shown = np.where(done[:, None], end, now) if self._next_step else now
         return _masked({"alive_agents": shown}, np.ones_like(done))

@@ -82,6 +82,7 @@ class MultiAgentWorld(MultiAgentEnv):
         if convention not in get_args(Convention):
             raise UsageError(f"convention is {convention!r}, allowed are 'plain' and 'smax'")
         roster = agents_of(env)
+        # The base class makes the dictionaries of spaces, which are filled below.
         super().__init__(num_agents=len(roster))
         self.env, self._smax = env, convention == "smax"
         # Closed over, not carried: in the state, which is mapped, each world would have a copy.
@@ -224,12 +225,14 @@ def register_worlds() -> None:
     """
     library: Any = jaxmarl
     before = library.make
+    # A second call would wrap our own `make`, and list the tasks twice.
     if hasattr(before, "with_usarmjx"):
         return
 
     def make(env_id: str, **keywords: Any) -> Any:  # noqa: ANN401 - of any task, or JaxMARL's own
         if not env_id.startswith(PREFIXES):
             return before(env_id, **keywords)
+        # Both prefixes have the same length.
         task, _, settings = env_id[len(PREFIXES[0]) :].partition("?")
         return make_world(task, settings.split("&") if settings else (), **keywords)
 
@@ -260,6 +263,7 @@ def make_world(task: str, settings: Sequence[str] = (), **keywords: Any) -> Mult
         if not bins.isdigit():
             raise UsageError(f"{task}: bins is {bins!r}, expected a whole number")
         own["bins"] = int(bins)
+    # `auto` would take engine c on a CPU, which JAX cannot trace.
     engine = own.pop("engine", "planar")
     fields = task_values(make_task(task), texts, task) | keywords
     return MultiAgentWorld(make_task_env(task, engine=engine, **fields), **own)
@@ -276,6 +280,7 @@ def main() -> None:
     if not Path(sys.argv[0]).is_file():
         sys.exit(f"{sys.argv[0]} is no file: expected a program, as in baselines of JaxMARL's repository")
     register_worlds()
+    # As Python does for a program that it starts; `run_path` leaves the path of modules as it is.
     sys.path.insert(0, str(Path(sys.argv[0]).parent))
     runpy.run_path(sys.argv[0], run_name="__main__")
 

@@ -115,6 +115,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
             seed = draw_seed(self._generator)
         if seed is not None:
             self._state = self.env.reset(seed)
+        # One transfer for both.
         now = jax.device_get((self._running.obs, self._running.alive))
         self.agents = alive_names(self.env, now[1])
         obs = _copies(by_agent(self.env, now[0]), self.agents)

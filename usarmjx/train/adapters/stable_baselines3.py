@@ -48,6 +48,7 @@ class BaselinesWorlds(VecEnv):
         actions: Actions = "continuous",
         bins: int = BINS,
     ) -> None:
+        # Before the base class, whose start calls `get_attr`.
         self.worlds: Any = VectorWorlds(
             env, robots, seed, render_mode=render_mode, actions=actions, bins=bins
         )
@@ -62,9 +63,12 @@ class BaselinesWorlds(VecEnv):
         Returns:
             Observations (num_envs, size).
         """
+        # `VecEnv.seed` gives each agent a seed of its own, the first of which is as it was given; the worlds
+        # have one.
         seed = self._seeds[0]
         obs, _ = self.worlds.reset(seed=seed)
         self.reset_infos = [{} for _ in range(self.num_envs)]
+        # Seeds and options count for one reset, as in the library's own classes.
         self._reset_seeds()
         self._reset_options()
         return obs
@@ -98,6 +102,7 @@ class BaselinesWorlds(VecEnv):
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return a picture of each agent's world from above (height, width, 3)."""
         pictures = self.worlds.render() or (None,) * self.worlds.env.worlds
+        # With `each`, the robots of a world share its picture.
         share = self.num_envs // len(pictures)
         return [picture for picture in pictures for _ in range(share)]
 
@@ -106,6 +111,7 @@ class BaselinesWorlds(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return an attribute of the environment once for each agent: they share it."""
+        # The base class and recorders of videos ask for `render_mode`, which the environment does not have.
         value = getattr(self if attr_name == "render_mode" else self.worlds.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 

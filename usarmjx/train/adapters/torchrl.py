@@ -98,6 +98,7 @@ class TorchWorlds(EnvBase):
         for g, group in enumerate(self.env.groups):
             robots = len(group.agents)
 
+            # Bound as a default: a closure would see the loop's variable, not its value now.
             def grouped(entries: dict[str, Any], robots: int = robots) -> Any:  # noqa: ANN401
                 return specs.Composite(entries, shape=(worlds, robots), device=self.device)
 
@@ -182,6 +183,7 @@ class TorchWorlds(EnvBase):
         self._state, self._start = self.env.advance(self._state, tuple(actions)), None
         seen = self._seen()
         for g, group in enumerate(self.env.groups):
+            # TorchRL's rewards have a last axis of one number.
             seen[group.name, "reward"] = self._tensor(self._state.reward[g])[..., None]
         return seen.update(self._ends())
 
@@ -191,6 +193,8 @@ class TorchWorlds(EnvBase):
         values = action.detach().to(self._arrays_at)
         if self._grids is not None:
             choices = self._grids[g].choices
+            # PyTorch counts negative indices from the end, and on a GPU one too large ruins the whole CUDA
+            # context.
             if bool(((values < 0) | (values >= choices)).any()):
                 name = self.env.groups[g].name
                 raise UsageError(f"discrete actions of {name}: allowed are 0 to {choices - 1}")

@@ -254,6 +254,7 @@ def ablate(
                 envs[own] = build_env(own, worlds, name=name, engine=engine)
             env = envs[own]
             if ablations is ABLATIONS:
+                # Robots that choose goals observe by `goal_features`, whose numbers are used here.
                 check_layout(env)
             policy = hidden_policy(driver(env), hide, env.scene.num_robots - 1)
             result = play_team(env, own, policy, f"{team} without {without}", seed)

@@ -249,6 +249,7 @@ def _look(
         batch.worlds,
         np.asarray(batch.physics(state).qpos)[:, batch.scene.groups[0].root_qposadr[0]],
     )
+    # Yaw of MuJoCo's quaternion, which has its real part first.
     w, x, y, z = root[:, 3:].T
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     place = np.column_stack([root[:, :2], heading, root[:, 2]])
@@ -277,6 +278,7 @@ def drive_gap(
         UsageError: No such place.
     """
     arena = place_of(place, robot)
+    # Steps of 20 ms, and one more: the look at the last horizon comes before the step of its number.
     orders = random_commands(robot, robots, round(HORIZONS[-1] / 0.02) + 1, seed)
     real, other = (drive_around(robot, arena, engine, orders) for engine in engines)
     apart = real.distance(other, in_space=robot.drive.applies_wrench)

@@ -122,6 +122,8 @@ def play_episodes(
             continue
         # New episodes begin without memory, as in training.
         carry = jax.tree.map(partial(select_worlds, state.done), begin, carry)
+        # Worlds whose episodes are short play on until the last world has enough; their further ones do not
+        # count.
         counts, wrong = done & (ended < each), np.asarray(state.bad)
         here = np.flatnonzero(counts & ~wrong)
         # Negative numbers, each once: without a library every episode is a building of its own.

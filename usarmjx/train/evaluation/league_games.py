@@ -127,5 +127,6 @@ def league_table(rows: list[Standing], played: dict[str, Games]) -> str:
         rating = "" if row.rating is None else f"{row.rating:.0f}"
         return [row.player, rating, *ours, *more]
 
+    # Without games only the columns of the training are filled.
     width = len(heads) if played else 5
     return markdown_table(heads[:width], [cells(row)[:width] for row in rows])

@@ -67,6 +67,7 @@ def random_policy(env: Env) -> Policy:
         del obs
         step, before = carry
         anew = (step % HELD_STEPS == 0)[:, None, None]
+        # A key for each group: with one key, groups of one shape would draw the same actions.
         drawn = [
             jax.random.uniform(jax.random.fold_in(key, g), old.shape, minval=-1.0, maxval=1.0)
             for g, old in enumerate(before)

@@ -328,6 +328,7 @@ class PolicySource:
         there = self.count_arenas(settings, split)
         # A whole number of episodes in each arena: none counts more than the others.
         usual = there if split is not None else there * round(EPISODES / max(there, 1))
+        # `usual` is 0 without generated arenas, and with more than twice `EPISODES` of them.
         episodes = episodes or usual or EPISODES
         return min(worlds or there or WORLDS, episodes), episodes
 
