@@ -9,7 +9,10 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+from tests.recording.missions import HEIGHT, SCOUT, mission_world
 from usarmjx.cli.app import app
+from usarmjx.models.types.arena import LooseObject
+from usarmjx.models.types.shapes import Shape
 from usarmjx.plots.recording import read_mission
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.recording.recorder import ChannelName
@@ -123,6 +126,24 @@ def test_a_mission_has_ways_scans_and_the_victim(mission):
 def test_a_part_of_the_time_is_all_that_is_looked_at(mission):
     shown = read_mission(Recording(mission[0]), 0, (0.5, 0.7))
     assert {time for way in shown.ways for time in way.times} <= {0.6200000000000001, 0.62, 0.6}
+
+
+def test_films_from_above_show_objects_that_come_and_go(tmp_path):
+    world, file = mission_world(tmp_path / "objects.mcap")
+    world.spawn_at(SCOUT, "First", [((-1.0, 0.0, HEIGHT), (0.0, 0.0, 0.0))])
+    box = Shape(kind="box", size=(0.1, 0.1, 0.1), mass=0.2)
+    for step in range(36):
+        if step == 12:
+            world.add_loose(LooseObject(name="crate", at=(1.0, -1.5, 0.1), shapes=(box,)), held=False)
+        if step == 24:
+            world.remove_loose(1)
+        world.step()
+    file.close()
+    shown = read_mission(Recording(tmp_path / "objects.mcap"), 0, (0.0, np.inf))
+    counts = [len(places) for _, places in shown.loose]
+    assert (counts[0], max(counts), counts[-1]) == (1, 2, 1)
+    result = run("export", tmp_path / "objects.mcap", "--out", tmp_path / "objects.gif")
+    assert result.exit_code == 0, result.output
 
 
 def test_figures_are_written_as_the_names_say(mission, tmp_path):

@@ -126,6 +126,7 @@ class _Reader:
     def take_frame(self, frame: Frame) -> None:
         if self.drawing is None:
             return
+        # Robots of a frame are in the drawing before it: a change of robots is recorded as a new drawing.
         for slot, robot in frame.robots.items():
             drawn = self.drawing.robots[slot]
             way = self.ways.setdefault(drawn.name, RobotWay(drawn.name, drawn.robot))
@@ -216,6 +217,10 @@ def _as_episode(mission: RecordedMission, title: str) -> EpisodeRecording:
     late = np.clip(np.searchsorted(known, times, side="right") - 1, 0, None)
     when, where = zip(*mission.loose, strict=True)
     seen = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
+    # Objects come and go in a served world; Matplotlib leaves out the dots of those that are not there.
+    loose = np.full((len(where), max(map(len, where)), 2), np.nan)
+    for row, places in zip(loose, where, strict=True):
+        row[: len(places)] = places
     return EpisodeRecording(
         task=title,
         arena=mission.arena,
@@ -223,7 +228,7 @@ def _as_episode(mission: RecordedMission, title: str) -> EpisodeRecording:
         times=times,
         scores=np.array(scores)[late],
         poses=poses,
-        loose=np.array(where)[seen],
+        loose=loose[seen],
         goal=None,
         end="",
     )
@@ -271,6 +276,7 @@ def plot_recording(
         UsageError: There is no such world, or nothing in it; a file has another suffix.
         WriteError: A file cannot be written.
     """
+    # All names first: a wrong suffix is refused before the drawing, and before any file is written.
     for path in paths:
         check_figure(path)
     figure = mission_figure(read_mission(recording, world, span))

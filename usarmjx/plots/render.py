@@ -168,6 +168,7 @@ def camera_rays(eye: np.ndarray, target: np.ndarray, width: int, height: int) ->
 def camera_axes(back: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a picture's axes right, up, forward (3,) from the direction of the eye, seen from its middle."""
     forward = -back / np.linalg.norm(back)
+    # Not for a view straight down, whose cross product with the vertical is 0.
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return right, np.cross(right, forward), forward

@@ -165,6 +165,7 @@ def read_curves(source: Path) -> list[Curve]:
     try:
         records = read_json_lines(source, UsageError)
         found = [curve_of_record(record) for _, record in records if record["benchmark"] == "train"]
+    # Any JSON may be in the file: fields of a record may be missing, or of any other form.
     except (UsageError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         reason = str(error) if isinstance(error, UsageError) else repr(error)
         raise UsageError(f"{source} is no file of benchmark records: {reason}") from error

@@ -334,6 +334,7 @@ class Sensor(ABC):
                 together.
         """
         self.bodies_of_mounts()
+        # One message has one time, and the suite keeps one due step for each sensor.
         if len({(settings.scan_interval, settings.with_time_stamp) for settings in self.settings}) > 1:
             raise SpecError(
                 f"all {self.kind} sensors report together and need the same ScanInterval and bWithTimeStamp"
@@ -439,6 +440,7 @@ def _is_zero(values: Array) -> bool:
 def curve_problem(points: OutputCurve) -> str:
     """Return the fault of an OutputCurve's points, "" if there is none."""
     pairs = all(len(point) == 2 and all(map(math.isfinite, point)) for point in points)
+    # `interp` needs rising inputs; of others it returns nonsense without an error.
     if pairs and all(a[0] < b[0] for a, b in pairwise(points)):
         return ""
     return f"the points of OutputCurve are {points!r}, expected finite ones with growing inputs"

@@ -316,6 +316,7 @@ class Encoder(Sensor):
     def check(self) -> None:
         """Check mounts and settings; see `Sensor.check`."""
         super().check()
+        # Body 0 is the chassis, which no joint turns.
         if (self.bodies_of_mounts() == 0).any():
             raise SpecError("an encoder needs a part that turns, not the chassis")
 
@@ -323,6 +324,7 @@ class Encoder(Sensor):
     def _joints(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint of each mount's part, and the sign of its rotation, both (mounts,)."""
         sign = np.array([self._sign(mount) for mount in self.mounts], np.float32)
+        # Joint k moves body k + 1.
         return self.bodies_of_mounts() - 1, sign
 
     def _angles(self, inputs: SensorInput) -> Array:

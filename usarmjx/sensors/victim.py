@@ -73,6 +73,7 @@ class VictSensorSettings(SensorSettings):
 
     def problem(self) -> str:
         """Return a conflict between settings."""
+        # The largest of the four grids, the unshifted one, which has no fewer rays than the others.
         columns = step_count(self.horizontal_fov, self.horizontal_step) + 1
         return beam_count_problem(columns * (step_count(self.vertical_fov, self.vertical_step) + 1))
 
@@ -144,6 +145,7 @@ class VictSensor(Sensor):
         bounds = np.cumsum([len(grid) for grid in self._grids])[:-1]
         met = xp.stack([grid.any(1) for grid in xp.split(inside, bounds, axis=1)])
         offset = xp.asarray(around.box_pos) - pos[0]
+        # A sum of products, as a matrix product may run in TensorFloat-32 on a GPU.
         position = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
         far = xp.linalg.norm(offset, axis=-1)
         # One draw for everything: each call of the generator is a hundred operations to XLA.
@@ -170,6 +172,7 @@ class VictSensor(Sensor):
         end = origin + xp.minimum(inputs.hits.distance, settings.distance)[:, None] * along
         pos, mat, size = map(xp.asarray, (around.box_pos, around.box_mat, around.box_size))
         away = [end[:, j] - pos[:, j, None] for j in range(3)]
+        # A ray that meets nothing ends at its full length, which may lie within the tolerance of a box.
         inside = near
         for axis in range(3):  # sums of products: no TensorFloat-32 on a GPU
             position = sum(mat[:, j, axis, None] * away[j] for j in range(3))

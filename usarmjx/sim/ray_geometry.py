@@ -234,6 +234,8 @@ def visible_arena(
         # Boxes of the arena come first, those of victims after them, as in `moved_geom_poses`.
         boxes = len(moved.kind) - len(victims_of(scene, arena_state).owner)
         if arena_state is not None:
+            # Which boxes are false alarms differs between arenas, so labels come from the world and
+            # not from the model.
             bones = bone_labels(arena_state.victims.owner, xp)
             moved = moved._replace(
                 rgb=xp.concatenate([arena_state.rgb, arena_state.victims.rgba[:, :3]]),

@@ -263,6 +263,7 @@ class RunControls:
             self._pause.label = "Go on" if status.paused else "Pause"
 
     def _pause_or_go(self) -> None:
+        # From the world and not from the button's label, which shows the last update.
         self._controls.pause(not self._controls.status(self._world).paused)
 
     def _ask_reset(self) -> None:
@@ -361,6 +362,7 @@ class RobotControls:
         gui = client.gui
         self._take = gui.add_button("Take over", hint="Drive it in place of its client or policy")
         self._take.on_click(lambda _: self._do(self._take_over))
+        # A caller's own description is in no registry: its robot can be taken over and removed only.
         spec = ROBOTS.get(robot.robot) if robot.robot in ROBOTS else None
         if spec is not None:
             self._add_driving(gui, spec)
@@ -373,11 +375,13 @@ class RobotControls:
         """Show the present driver of the robot."""
         slot = self._robot.slot
         known = status.drivers.get(slot), slot in status.taken_over
+        # Each assignment to a button is a message to the browser, also of the value that it has.
         if known == self._known:
             return
         self._known = known
         driver, taken = known
         self._take.label = "Give it back" if taken else "Take over"
+        # There is nobody to take the page's own robot from.
         self._take.visible = taken or driver != BY_PAGE
 
     def _do(self, act: Callable[[], None]) -> None:
@@ -431,6 +435,7 @@ class RobotControls:
     def _add_cameras(self, gui: viser.GuiApi, spec: RobotSpec, frame: Frame) -> None:
         now = frame.robots.get(self._robot.slot)
         for index, camera in enumerate(cameras_of(spec)):
+            # A camera of a fixed field of view has nothing to zoom.
             if camera.max_fov <= camera.min_fov:
                 continue
             name, fov = camera.mount.name, camera.default_fov if now is None else float(now.fovs[index])
@@ -518,4 +523,5 @@ class RobotControls:
 
 def _within(low: float, high: float, value: float, digits: int) -> float:
     """Return a value within a slider's limits, rounded to its digits."""
+    # Viser refuses a slider that begins outside of its limits, where a joint may be by its contacts' give.
     return max(low, min(high, round(value, digits)))

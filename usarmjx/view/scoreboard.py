@@ -194,6 +194,7 @@ class MissionLog:
             self._states = None
         self._time = frame.time
         robots = {slot: drawing.robots[slot] for slot in frame.robots if slot in drawing.robots}
+        # By name: another robot may have taken the slot since the last frame.
         states = {robot.name: state_of(robot, frame.robots[slot]) for slot, robot in robots.items()}
         # Not at the first frame: who is there from the start does not join.
         if self._states is not None:

@@ -381,6 +381,7 @@ def stages(
     make_constraint = import_module(f"{MUJOCO_WARP}.constraint").make_constraint
 
     def fwd_position(m: Any, d: Any, factorize: bool = True) -> None:  # noqa: ANN401
+        # MuJoCo Warp passes this flag by name; `factor_solve` always does both.
         del factorize
         smooth_dynamics(m, d)
         stream = branches_of(d.qpos.device).stream(0)

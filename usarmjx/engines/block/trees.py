@@ -127,6 +127,7 @@ def solve_kernel(size: int) -> Any:  # noqa: ANN401 - Warp's kernels have no typ
 def fits(m: Any, factor: Any) -> bool:  # noqa: ANN401 - as above
     """Return whether all blocks are dense and small, given the model and the array of factors."""
     sizes = [tile.size for tile in m.M_tiles if tile.elemid.size]
+    # A longer factor has sparse blocks (LDL) behind the dense ones, which this kernel does not solve.
     return bool(sizes) and max(sizes) <= MOST_SIZE and factor.shape[1] == m.qLD_block_total
 
 
@@ -151,6 +152,7 @@ def factor_solve(
     flat = [array.flatten() for array in (mass, right, solution)]
     for tile in m.M_tiles:
         blocks = tile.adr.size
+        # Diagonal and small full blocks, which MuJoCo Warp itself solves by a thread each.
         if not tile.elemid.size:
             warp.launch(
                 smooth._small_cholesky_factorize_solve_block(tile.size),

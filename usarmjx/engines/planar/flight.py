@@ -94,6 +94,7 @@ def _step(
     """
     mat = rotation(now.quat)
     arm = apply(mat, body.centre)
+    # As of MuJoCo's free joints: linear rates are in world axes, angular ones in the body's.
     spin = apply(mat, now.angular)
     centre, speed = plus(now.pos, arm), plus(now.linear, cross(spin, arm))
     # The centre of mass is moved, not the origin: only there forces and turning are independent.

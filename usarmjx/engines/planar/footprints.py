@@ -180,6 +180,7 @@ def deepest_overlap(robots: Outlines, neighbors: ContactCandidates, same_height:
     push, which = rows[0], jnp.zeros(rows[0].shape, jnp.int32)
     for row, other in enumerate(rows[1:], 1):
         which, push = jnp.where(other > push, row, which), jnp.maximum(push, other)
+    # Not below -1, from which Warp's version starts: a solid that is far away has -1e6 here.
     return DeepestOverlap(jnp.maximum(reduce(jnp.maximum, others, push), -1.0), push, which)
 
 
@@ -333,6 +334,7 @@ def separate_footprints(
         jnp.bool_(True),
     )
     # Two more than pushes and restores: evaluations of the proposed and of the old poses.
+    # A fixed number, with `cond` inside: JAX has no reverse gradient of a loop whose length depends on data.
     kept = jax.lax.fori_loop(0, 2 + PUSH_ITERATIONS + RESTORE_ITERATIONS, turn, start)
     x, y, yaw = kept.footprints.outline.x.T, kept.footprints.outline.y.T, kept.footprints.yaw.T
     # Robots pushed by others touched something, too, even if they end without an overlap.

@@ -195,6 +195,7 @@ def build_neighbor_list(
     dx, dy = x - one.x, y - one.y
     ahead = jnp.maximum(jnp.abs(dx * one.cos + dy * one.sin) - one.length, 0.0)
     aside = jnp.maximum(jnp.abs(dy * one.cos - dx * one.sin) - one.width, 0.0)
+    # The bounding circle: a list stays valid however the robot turns, as margins count displacements only.
     size = jnp.linalg.norm(footprints.half, axis=-1)[:, None]
     apart = jnp.sqrt(ahead * ahead + aside * aside) - one.radius - size
     higher = _height_gap(found, x, y, low, footprints.high[:, None], footprints.step[:, None])

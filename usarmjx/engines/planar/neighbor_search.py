@@ -147,6 +147,7 @@ class SceneSolids:
         turn = np.zeros((len(geoms.ids), 9))
         for row, geom in zip(turn, geoms.ids.tolist(), strict=True):
             mujoco.mju_quat2Mat(row, model.geom_quat[geom])
+        # In the order of `SHAPE_NUMBERS`: the native code reads these numbers by place.
         body = fixed.pos[geoms.bodies], fixed.mat[geoms.bodies].reshape(-1, 9), hold[2][geoms.bodies]
         geom = model.geom_pos[geoms.ids], turn, model.geom_size[geoms.ids]
         static_solids = np.stack([np.asarray(part) for part in jax.tree.leaves(self.static_solids)], -1)
@@ -339,8 +340,10 @@ def _scene(solids: SceneSolids, proposed: ProposedMotion) -> tuple[Array, ...]:
         # No poses are inputs, so no geom is one: -1 as its index and as its row.
         kinds = kinds * [1, 0, 1, 1, 0] - [0, 1, 0, 0, 1]
         poses = GeomPoses(pos=jnp.zeros(1), quat=jnp.zeros(1))
+    # Any array does where sizes are no inputs: `sized` tells the kernel not to read it.
     size = poses.pos if poses.size is None else poses.size
     data, loose = proposed.scene.geoms.shape[1], proposed.scene.loose
+    # In the order of `warp_solids.SIZE_CODE`, which reads them by place.
     counts = (
         proposed.moves.shape[1],
         solids.static_solids.count,
@@ -376,6 +379,7 @@ def _search_kernel(most: int, room: int, threads: int) -> Any:  # noqa: ANN401 -
 @warp_function
 def _ground_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return the kernel that finds the ground."""
+    # Here, as Warp belongs to an extra.
     import warp as wp
 
     from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, ground_under_robots

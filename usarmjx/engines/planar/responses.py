@@ -158,6 +158,7 @@ def find_response(robot: RobotSpec, folder: Path | None = None) -> Response | No
         content = read_kept(file)
         if content.get("key") != description_key(robot):
             raise NotWholeError(f"{file}: is the response of another robot")
+        # Kept for this process, so that the file is read and checked once.
         override_response(robot, read_response(content, str(file)))
     except SpecError as error:
         log.warning("%s; it is measured again", error)

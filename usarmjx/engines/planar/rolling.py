@@ -142,6 +142,7 @@ def apply_contacts(
     x, y = parts(kept.pos - rotate_by_yaw(robots.offset, kept.yaw))
     angle = kept.yaw - before.yaw
     rate = jnp.arctan2(jnp.sin(angle), jnp.cos(angle)) / dt
+    # Positions before have a third part, the height, which the plan leaves out.
     displacement = [(now - then) / dt for now, then in zip((x, y), parts(before.pos), strict=False)]
     return after.replace(
         pos=_select_components(touched, (x, y, after.pos[:, 2]), after.pos),

@@ -112,6 +112,7 @@ def _concrete(across: float, up: float) -> float:
 
 @wp.func
 def _chart(u: float, v: float, number: int) -> float:
+    # Declared as Warp's types: a plain literal would be a constant, which a loop may not change.
     dark = wp.bool(False)
     radius = wp.sqrt(u * u + v * v)
     outer = wp.float32(0.95)
@@ -236,6 +237,7 @@ def sign_position(local: wp.vec3, facing: wp.vec3, size: wp.vec3) -> wp.vec2:
     right = wp.where(y, -wp.sign(facing[1]) * local[0], -local[1])
     right = wp.where(x, wp.sign(facing[0]) * local[1], right)
     right = wp.where(top, -wp.sign(facing[2]) * local[1], right)
+    # Of a top seen from above, the box's x axis points up, and its y axis to the left.
     up = wp.where(top, local[0], local[2])
     wide = wp.where(y and not top, size[0], size[1])
     half = wp.max(wp.min(wide, wp.where(top, size[0], size[2])), 1.0e-6)

@@ -89,6 +89,7 @@ def _tube(o: wp.vec3, d: wp.vec3, radius: float) -> wp.vec2:
 
 @wp.func
 def _within(t: float, z: float, low: float, high: float) -> float:
+    # A miss stays a miss: of an infinite t the height is infinite or NaN, and no such comparison shortens it.
     return wp.where(t >= 0.0 and z >= low and z <= high, t, wp.inf)
 
 
