@@ -118,6 +118,7 @@ class GroundFinder:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, ignore: str = "\0") -> None:
+        # No name begins with the default: then all geoms may be ground.
         self._model, self._data, self._ignore = model, data, ignore
 
     def below(self, at: tuple[float, float, float]) -> float | None:
@@ -252,6 +253,7 @@ class ArenaProbe:
         found: dict[tuple[str, str], float] = {}
         for contact in self._data.contact:
             one, other = (self._names[int(geom)] for geom in contact.geom)
+            # The distance of geoms that overlap is negative.
             found[one, other] = max(-float(contact.dist), found.get((one, other), 0.0))
         return found
 
@@ -419,6 +421,7 @@ def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
     try:
         probe = ArenaProbe(arena, spec)
     except (SpecError, ValueError) as error:
+        # A ValueError is MuJoCo's compiler's.
         return [*found, f"it cannot be built: {error}"]
     found += [*probe.check_starts(), *probe.check_loose(), *probe.check_waters()]
     bodies = BodyProbe(arena)
@@ -520,6 +523,7 @@ def settling_distance(robot: RobotSpec) -> float:
     for _ in range(round(SETTLING_TIME / model.opt.timestep)):
         mujoco.mj_step(model, data)
     way = float(np.linalg.norm(data.xpos[chassis] - before))
+    # NaN, of physics that diverged, would compare as no fault.
     return way if np.isfinite(way) else np.inf
 
 

@@ -334,6 +334,7 @@ class WorldRecorder:
     @property
     def frame_is_due(self) -> bool:
         """Whether the next frame is due."""
+        # Times are sums of periods, with rounding errors.
         return self._time >= self._next_frame - 1e-6
 
     def record_frame(self, snapshot: WorldSnapshot) -> None:

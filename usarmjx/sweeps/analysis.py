@@ -444,6 +444,7 @@ def _adjusted(rows: Sequence[AxisRow]) -> list[AxisRow]:
         places = [place for place, row in enumerate(mine) for one in row.records for _ in one.good]
         means = range_scores(pool, axis, places)
         found += [replace(row, mean=mean) for row, mean in zip(mine, means, strict=True)]
+    # Back in the order of the axis: the loop went policy by policy.
     order = list(dict.fromkeys(row.value for row in rows))
     return sorted(found, key=lambda row: order.index(row.value))
 

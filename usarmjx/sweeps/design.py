@@ -246,6 +246,7 @@ class Layout:
             values: Values, one for each episode (episodes,).
         """
         middle = values.mean()
+        # Fixed settings are not drawn: the differences between them are no part of the interval.
         rest = values - (np.bincount(self.cells, values) / np.bincount(self.cells))[self.cells]
         index = tuple(self.indices.values())
         shape = tuple(int(one.max()) + 1 for one in index)
@@ -354,6 +355,7 @@ def range_scores(episodes: Episodes, axis: str, ranges: Sequence[int]) -> list[E
     layout, scores = Layout(episodes), episodes.scores
     points = layout.indices[SETTINGS]
     of_point = np.zeros(int(points.max()) + 1, int)
+    # All episodes of a point lie in one range.
     of_point[points] = ranges
     own = np.eye(int(max(ranges)) + 1)[of_point]
     place = list(episodes.sampled).index(axis)
@@ -379,6 +381,7 @@ def _unit(size: int, place: int) -> np.ndarray:
 def entries_of(episodes: Episodes) -> np.ndarray:
     """Return the number of each episode's pair of run and settings (episodes,)."""
     rows = zip(episodes.fixed, episodes.points, episodes.runs, strict=True)
+    # Without the stratum: an entry has buildings of all levels.
     return _numbers([(fixed[0] if is_tuple(fixed) else fixed, *more) for fixed, *more in rows])
 
 
@@ -422,6 +425,7 @@ def improvement(first: Episodes, second: Episodes) -> Estimate:
         np.array([[own.get((run, place), np.nan) for run in names] for place in shared])
         for own, names in zip(means, runs, strict=True)
     ]
+    # NaN stands for a setting that a run lacks.
     better = np.nanmean(probability_of_improvement(*tables), 0)
     sides = [even(f"{RUNS}{side or ''}", size) for side, size in enumerate(better.shape)]
     return as_share(crossed_estimate(better, sides, better.size))

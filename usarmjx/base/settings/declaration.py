@@ -28,6 +28,7 @@ MAPPINGS = (dict, Mapping)
 """Types that a mapping of any keys is read as."""
 _NUMBERS = {float: ("a number", "numbers"), int: ("a whole number", "whole numbers")}
 _WORDS = {bool: "true or false", str: "a text", type(None): "none", Path: "a path", Any: "anything"}
+# With a letter or % at least: numbers in brackets are no unit.
 _UNIT = re.compile(r"\[([A-Za-z%/^*. 0-9-]*[A-Za-z%][A-Za-z%/^*. 0-9-]*)\]")
 _ENTRY = re.compile(r"(\w+(?:, \w+)*): *(.*)")
 

@@ -99,6 +99,7 @@ def read_bytes(path: Path, most: int = MAX_FILE_BYTES, refusal: type[UsageError]
         size = path.stat().st_size
         if size > most:
             raise refusal(f"{path}: {size} bytes are too many; at most {most}")
+        # A read of a pipe or a device could wait for ever.
         if not path.is_file():
             raise refusal(f"{path}: cannot be read: it is no plain file")
         with path.open("rb") as file:

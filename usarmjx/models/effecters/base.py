@@ -41,6 +41,7 @@ class DroppedTags(Node, kw_only=True):
 
 def no_dropped_tags() -> DroppedTags:
     """Return the tags of a new world: none."""
+    # Of full size from the start: arrays of a compiled step cannot grow with the count.
     return DroppedTags(pos=xp.zeros((MAX_DROPPED_TAGS, 3)), count=xp.zeros((), xp.int32))
 
 

@@ -511,6 +511,7 @@ class _StageReader:
         """Yield the solids of a model in its own axes, its foot at height 0."""
         bitmap = model.properties.get("bitmap")
         blocks = [child for child in model.children if child.word == "block"] or _flat_blocks(model)
+        # An empty name takes an inherited bitmap away.
         if bitmap is not None and bitmap.values[0]:
             yield from self._bitmap(bitmap, size, like)
         elif blocks:
@@ -635,6 +636,7 @@ def _box(like: Shape, x0: float, x1: float, y0: float, y1: float, height: float)
 
 def _placed(shape: Shape, pose: StagePose) -> Shape:
     x, y, z = shape.at
+    # Rounded to a nanometre below: turns leave digits behind that mean nothing.
     there = pose.then(StagePose(x=x, y=y, z=z))
     return Shape(
         kind=shape.kind,

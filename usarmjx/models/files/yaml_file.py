@@ -546,6 +546,7 @@ def arena_of_yaml(value: FileValue, resources: Resources) -> tuple[ArenaSpec, tu
     _check_number_of_files(value)
     given = value.mapping()
     file = ARENA_READER.from_data(ArenaFile, value, defaults={"name": value.path.stem})
+    # Each source goes with its own value, so that an error in its content names its line.
     parts = [
         _content(action(source, resources), item)
         for key, action in SOLID_SOURCES.items()

@@ -166,6 +166,7 @@ def void(at: Position2D, facing: int, length: float, roof: float) -> list[Shape]
     ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[facing]
     yaw = facing * math.pi / 2
     shapes = [block(at, (length, STRUCTURE_SIZE, DECK), z=roof, yaw=yaw, rgba=CONCRETE)]
+    # Half of a wall: both walls end with the slab.
     back = length / 2 - 0.4
     for side in (-1, 1):
         x = at[0] - back * ahead[0] - side * 0.52 * ahead[1]
@@ -250,6 +251,8 @@ def posts(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
     for i in range(POSTS):
         for j in range(POSTS):
             middle_post = i == j == POSTS // 2
+            # The middle has 1 to 1.45 of the height, its neighbours 0.55 to 1: they differ by 0.9 of it at
+            # most.
             top = height * (draw.randint_between(55, 100) / 100 + 0.45 * middle_post)
             spot = (at[0] + (i - (POSTS - 1) / 2) * pitch, at[1] + (j - (POSTS - 1) / 2) * pitch)
             shapes.append(block(spot, (pitch, pitch, top), rgba=WOOD))

@@ -272,6 +272,7 @@ def read_mount(
     """
     struct = as_struct(line)
     written = as_class(line, struct.get("ItemClass"), "ItemClass")
+    # A class of the files' own goes before one of the later versions by that name.
     known = {**LATER_ITEM_CLASSES, **classes}
     kind, inherited = known.get(written.lower(), (kind_of(written, settings), ()))
     if kind is None:
@@ -429,6 +430,7 @@ def _base(
     kind, base = kind_of(written, settings), written.lower()
     if kind is not None:
         return ItemClass(kind, ())
+    # A later round resolves it, when its base is known.
     if base in waiting and base != name:
         return None
     return found.get(base) or LATER_ITEM_CLASSES.get(base)

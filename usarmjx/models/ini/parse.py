@@ -571,6 +571,7 @@ def as_bool(line: Line, value: IniValue | None, name: str) -> bool:
 
 def as_name(line: Line, value: IniValue | None, name: str) -> str:
     """Return a word: an item's or a part's name."""
+    # The parser reads a name of digits as a number.
     if isinstance(value, int) and not isinstance(value, bool):
         return str(value)
     if not isinstance(value, str) or not is_name(value.strip()):

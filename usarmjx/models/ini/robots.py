@@ -173,6 +173,7 @@ class _Translation:
         has_own = any(line.key.lower() == "batterylife" for line in lines)
         if self._battery is not None and not has_own and any(map(_is_battery, lines)):
             lines = (*lines, self._battery)
+        # A robot of the user's own by the later name is meant itself.
         if ours != name and name.lower() not in self._robots and lines:
             self._notes.add(lines[0], f"{name} is the later versions' name of {ours}")
             return replace(section, name=f"USARBot.{ours}", lines=lines)
@@ -218,6 +219,7 @@ class _Translation:
         written = line.value.get("ItemClass")
         full = written.name if isinstance(written, Reference) else str(written)
         package, _, name = full.rpartition(".")
+        # Without a package, `package` is empty, which the single point stands for.
         ours = self._class(name) if f"{package.lower()}." in (*ITEM_PACKAGES, "usarbot.", ".") else None
         parent = line.value.get("Parent")
         if ours is None or (isinstance(parent, str) and parent.lower().startswith("usarmispkg.")):

@@ -213,6 +213,7 @@ class RoadLines:
         line, found = self.line, self.numbers(keyword, len(owner) + 1)
         usual = len(taken) + 1
         if usual in taken:
+            # With gaps before it, the number that is due is that of the first gap.
             usual = next(i for i in range(1, usual) if i not in taken)
         number = found[-1]
         if found[:-1] != owner or number < 1 or number in taken or (most is not None and number > most):
@@ -320,6 +321,7 @@ def _read_top(lines: RoadLines, readers: Mapping[str, Callable[[], None]], neede
     lowered = {key.lower(): reader for key, reader in readers.items()}
     while reader := lowered.get(lines.word):
         reader()
+    # A missing end is only a warning, see `end`.
     if lines.word not in ("end_file", ""):
         raise lines.unexpected(*(key for key in readers if key not in needed), "end_file")
     lines.end("end_file")
@@ -346,6 +348,7 @@ def _speed_limits(lines: RoadLines, into: list[SpeedLimit]) -> None:
     while lines.numbered:
         line = lines.line
         (number,) = lines.parsed(lines.word, 1, line)
+        # The last line of a number: of two limits the later one is too many.
         lines.fault_lines["speed_limit", number] = line
         low, high = (
             lines.real(w, "speed", 0.0, MAX_SPEED_MPH, line) for w in lines.words(2, "lowest highest")

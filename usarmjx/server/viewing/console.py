@@ -586,6 +586,7 @@ class UserConsole:
         gui = client.gui
         with gui.add_folder("Console", expand_by_default=False, order=1000):
             self._line = gui.add_text("Line", "help", hint="help, showlog, showdebug, editactor, pause")
+            # viser calls back in threads of its own: the line must wait for the thread of the worlds.
             gui.add_button("Run").on_click(lambda _: page.post(self.enter))
             self._shown = gui.add_html("")
 
@@ -593,4 +594,5 @@ class UserConsole:
         """Carry out the line."""
         line = self._line.value.strip()
         self._text = f"{self._text}> {line}\n{self._run(line)}\n"[-MAX_ANSWERS:]
+        # The log has texts of clients, which must not become part of the page.
         self._shown.content = f'<pre style="{STYLE}">{html.escape(self._text)}</pre>'

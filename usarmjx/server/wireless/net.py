@@ -114,6 +114,7 @@ class DataLinkServer:
     async def make(self, wanted: EndpointPair) -> bool:
         """Connect to both ends of a link and forward between them; return whether both answered."""
         ends = (wanted.first, wanted.second)
+        # Without `return_exceptions` an end that connects after the other has failed would stay open.
         streams = await asyncio.gather(
             *(connect(end.address, end.port) for end in ends), return_exceptions=True
         )
@@ -329,6 +330,7 @@ class ProxyServer:
 
     async def _called(self, route: Route, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         address, _ = peer_address(writer)
+        # The port is open to everybody: only the caller's own address may use it.
         if not address or not self._board.may_call(route, normalize_address(address)):
             writer.close()
             return
@@ -596,6 +598,7 @@ class WirelessService:
             if connection.handler.closing or (
                 connection.last_received < latest and not connection.handler.alive
             ):
+                # Its entry leaves the list in its own task, later: the loop goes over an unchanged list.
                 log.info("%s:%d: dropped, it has no robot in the world", *peer_address(connection.writer))
                 connection.writer.transport.abort()
 
@@ -612,6 +615,7 @@ class WirelessService:
     ) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]:
         async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             address, port = peer_address(writer)
+            # Without an address the peer has gone already.
             if not address or not self._make_room():
                 self._gate.refuse(f"{address}:{port}", f"{len(self._connections)} connections are open")
                 writer.close()

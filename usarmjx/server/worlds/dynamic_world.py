@@ -141,6 +141,7 @@ class DynamicWorld(ServedWorld):
 
     def remove(self, robot: Robot) -> None:
         """Remove a robot from the running world."""
+        # The slot may have another robot by now.
         if self.robots.get(robot.slot) is robot:
             del self.robots[robot.slot]
             if self.recorder is not None:
@@ -225,6 +226,7 @@ class DynamicWorld(ServedWorld):
             return self._suck(robot, effecter, closes=Vacuum.closes(opcode, value))
         outcome = self._single.operate(robot.slot, effecter, opcode, value)
         command = self._single.state_of(robot.slot).command
+        # The world's own time counts from its last reset, the robot's from the beginning: see `set_command`.
         robot.command = command.replace(flip_until=robot.command.flip_until)
         return status_of(outcome)
 

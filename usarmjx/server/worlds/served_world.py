@@ -487,6 +487,7 @@ class ServedWorld(ABC):
             drawn = [index for index, sensor in enumerate(robot.suite.sensors) if sensor.has_overlay]
             own = self.memory(robot).own if drawn else ()
             overlays += [robot.suite.sensors[index].overlay(own[index]) for index in drawn]
+        # One call for all: it starts every transfer before it waits for the first.
         return jax.device_get(overlays)
 
     @abstractmethod

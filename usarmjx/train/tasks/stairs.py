@@ -206,6 +206,7 @@ class Stairs(Task):
         pose = view.sensor(0, "INS")[0]
         # The INS knows where it starts, and so the height of the ground there.
         rise = self.height + memory.start_height - pose[2]
+        # A positive pitch turns the nose down.
         seen = [goal_observation(pose, jnp.asarray(self.goal[:2])), jnp.stack([rise, pose[3], -pose[4]])]
         if self._flippers(view.scene.groups[0].robot):
             # Encoders that look to the left: their sign is the other one.
