@@ -103,6 +103,7 @@ class RecordingSource:
         return self._frames_around(world)[0]
 
     def _frames_around(self, world: int) -> tuple[RecordedMessage, RecordedMessage | None]:
+        # The page asks often between two frames: the last pair mostly serves, and nothing is read.
         known = self._around.get(world)
         if known is not None and known[1] is not None and known[0].time <= self.time < known[1].time:
             return known
@@ -180,6 +181,7 @@ class Timeline:
         with gui.add_folder("Recording"):
             self._button = gui.add_button("Pause", hint="Play or pause")
             self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value=USUAL_SPEED)
+            # A slider needs a span, which a recording of a single frame has not.
             longest = max(source.end, source.start + STEP)
             self._slider = gui.add_slider("Time [s]", source.start, longest, STEP, source.start)
         self._button.on_click(lambda _: page.post(self.toggle))

@@ -142,6 +142,7 @@ def _shown(word: bytes) -> str:
 
 
 def _check_stl(path: Path, data: bytes) -> None:
+    # The header of a binary file ends with its number of facets.
     announced = int.from_bytes(data[STL_HEADER_BYTES - 4 : STL_HEADER_BYTES], "little")
     # The length decides first: binary files may begin with the word "solid", too.
     if len(data) >= STL_HEADER_BYTES and len(data) == STL_HEADER_BYTES + STL_FACET_BYTES * announced:

@@ -480,6 +480,7 @@ def joints_of(model: SdfModel, pose: Pose) -> Iterator[SdfJoint]:
 def joint_end(joint: SdfJoint, end: str, frames: dict[str, SdfLink]) -> str | None:
     """Return the link at an end of a joint, also one that a frame is attached to; None: there is none."""
     name = joint.element.word(end) or joint.element.word(f"{end}/link")
+    # Bounded: frames may be attached to each other in a circle.
     for _ in range(len(frames) + 1):
         if joint.prefix + name in frames:
             return joint.prefix + name
@@ -652,12 +653,14 @@ class _UrdfWriter:
         if made_kind == "revolute" and joint.limits is None:
             made_kind = "continuous"
         made = _element("joint", element, name=joint.name, type=made_kind)
+        # URDF has a joint's frame relative to that of the parent.
         frame = inverse(self._frames[joint.parent]).then(self._frames[joint.child])
         made.append(_origin(element, frame))
         made.append(_element("parent", element, link=self._short[joint.parent]))
         made.append(_element("child", element, link=self._short[joint.child]))
         if element.first("axis") is None:
             return made
+        # URDF has the axis in the joint's frame, which is the child's.
         axis = " ".join(repr(value) for value in (self._frames[joint.child].mat.T @ joint.axis).tolist())
         made.append(_element("axis", element, xyz=axis))
         limits = {"lower": repr(low), "upper": repr(high)}
@@ -676,6 +679,7 @@ class _UrdfWriter:
         """Yield a link's sensors and friction as URDF's `<gazebo>` elements."""
         for sensor in link.link.all("sensor"):
             made = _element("sensor", sensor, **dict(sensor.attrib))
+            # SDF's pose is relative to its own frame of the link: one in URDF's takes its place.
             made.extend(child for child in sensor.children() if child.tag != "pose")
             made.append(_pose(sensor, self._local(path, link, sensor)))
             yield self._about(path, made)

@@ -322,6 +322,7 @@ class WorldController:
             raise PeerError(f"no object {clip(name)} was created")
         self._world.remove_loose(self._names().index(name.lower()))
         del self._world.created[name.lower()]
+        # `advance_objects` looks up each moving object, and would fail with one that is gone.
         self._world.motions.pop(name.lower(), None)
 
     def _kill_all(self, corners: tuple[Vec3, Vec3] | None) -> None:

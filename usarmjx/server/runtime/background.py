@@ -162,6 +162,7 @@ def serve(
                 _worlds(what, instances, seed, max_connections), bound, instances, strict=True
             )
         ]
+        # Before the thread starts: the first client must not wait for compilers.
         for server in servers:
             server.world.warm_up()
         # The sockets now belong to the running server, and survive the end of this context.

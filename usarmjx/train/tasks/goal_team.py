@@ -563,6 +563,7 @@ class GoalTeam(TeamTask):
         belief, extra = memory.belief, memory.extra
         news = self.news(belief)
         reported = jnp.where(self.base_is_informed(view, belief), news, extra.reported)
+        # Whole maps are sent in every step: a robot with a link has all by then.
         shared = jnp.where(_linked(view), news[:, None], extra.shared)
         return memory.replace(extra=extra.replace(reported=reported, shared=shared))
 
@@ -576,6 +577,7 @@ class GoalTeam(TeamTask):
         due = memory.step % (self.hold // 2) == 0  # before each choice
         state = where_due(compare, due, state, state, belief.squares)
         left = state.untold[:, base]
+        # The base itself has all that is on its map.
         informed = (_linked(view)[:, base] & (left == 0.0)) | (np.arange(len(left)) == base)
         contact = jnp.where(due & informed, view.time, belief.base_contact_time)
         news = self.news(belief)

@@ -103,6 +103,7 @@ def range_lines(robot: RobotSpec, kinds: tuple[str, ...]) -> tuple[np.ndarray, n
     origin = np.broadcast_to(pos[:, :2] if len(pos) > 1 else pos[:1, :2], (len(along), 2))
     angle = np.arctan2(along[:, 1], along[:, 0])
     each = -(-len(angle) // MAX_READINGS)
+    # Cut as by `reduce_to_sectors`: the last sector may have fewer lines.
     middles = np.array(
         [len(part) // 2 + part[0] for part in np.split(np.arange(len(angle)), _cuts(angle, each))]
     )
