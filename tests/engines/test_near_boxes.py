@@ -37,9 +37,9 @@ def support(kind: str, size: np.ndarray, direction: np.ndarray) -> float:
     return float(np.abs(direction) @ size if kind == "box" else np.linalg.norm(direction * size))
 
 
-def poses(model: mujoco.MjModel, kind: str, size: str) -> np.ndarray:
+def poses(model: mujoco.MjModel, kind: str, size: str, count: int = POSES) -> np.ndarray:
     """Poses in which a geom is up to a centimetre deep in the top face, every fourth one over an edge."""
-    rng, found, half = np.random.default_rng(0), np.zeros((POSES, 7)), np.array(size.split(), float)
+    rng, found, half = np.random.default_rng(0), np.zeros((count, 7)), np.array(size.split(), float)
     ramp, own = np.zeros(9), np.zeros(9)
     mujoco.mju_quat2Mat(ramp, model.geom_quat[0])
     turn = ramp.reshape(3, 3)
@@ -69,14 +69,14 @@ def in_c(model: mujoco.MjModel, at: np.ndarray) -> list[list[tuple[float, np.nda
 def on_warp(model: mujoco.MjModel, at: np.ndarray, collision: Any) -> list[list[tuple[float, np.ndarray]]]:
     """The same of a collision function of MuJoCo Warp."""
     mjw: Any = import_module("mujoco.mjx.third_party.mujoco_warp")
-    m, d = mjw.put_model(model), mjw.make_data(model, nworld=POSES, naconmax=8 * POSES, njmax=64)
+    count = len(at)
+    m, d = mjw.put_model(model), mjw.make_data(model, nworld=count, naconmax=8 * count, njmax=64)
     d.qpos.assign(at.astype(np.float32))
     mjw.kinematics(m, d)
     collision(m, d)
-    count = int(d.nacon.numpy()[0])
-    worlds, dist = d.contact.worldid.numpy()[:count], d.contact.dist.numpy()
+    worlds, dist = d.contact.worldid.numpy()[: int(d.nacon.numpy()[0])], d.contact.dist.numpy()
     normals = d.contact.frame.numpy()[:, 0]
-    return [[(dist[i], normals[i]) for i in np.flatnonzero(worlds == k)] for k in range(POSES)]
+    return [[(dist[i], normals[i]) for i in np.flatnonzero(worlds == k)] for k in range(count)]
 
 
 def worst(found: Any, expected: Any) -> tuple[int, float, float]:
@@ -102,6 +102,48 @@ def test_contacts_with_a_large_box_are_those_of_double_precision(case):
     assert others == 0
     assert dist < 2e-6
     assert normal < 0.02
+
+
+def on_treads(model: mujoco.MjModel, size: str, count: int) -> np.ndarray:
+    """Poses of a wheel that stands on the top face, leans by 1e-4 and is up to 2 mm deep in it."""
+    rng, found, half = np.random.default_rng(1), np.zeros((count, 7)), np.array(size.split(), float)
+    ramp, own = np.zeros(9), np.zeros(9)
+    mujoco.mju_quat2Mat(ramp, model.geom_quat[0])
+    turn = ramp.reshape(3, 3)
+    for pose in found:
+        pose[3:], turned = model.geom_quat[0], np.zeros(4)
+        heading, spin = rng.uniform(-np.pi, np.pi, 2)
+        for axis, angle in ((2, heading), (0, np.pi / 2), (2, spin), (0, 1e-4 * rng.standard_normal())):
+            mujoco.mju_axisAngle2Quat(turned, np.eye(3)[axis], angle)
+            mujoco.mju_mulQuat(pose[3:], pose[3:].copy(), turned)
+        mujoco.mju_quat2Mat(own, pose[3:])
+        height = support("cylinder", half, -own.reshape(3, 3).T @ turn[:, 2]) - rng.uniform(1e-4, 2e-3)
+        pose[:3] = turn @ np.array([*(rng.uniform(-0.9, 0.9, 2) * HALF[:2]), HALF[2] + height])
+    return found
+
+
+@pytest.mark.parametrize("size", [".45 .13", ".11 .05"])
+def test_a_wheel_on_its_tread_keeps_its_contact(size):
+    """A search that stalls in single precision begins anew: 3 % of the wide wheels lost theirs.
+
+    Distances within 5 um, normals within 0.005: the collider ends within 1 um of the depth, and a normal that
+    leans by 0.005 makes a wheel of 0.45 m deeper by 6 um.
+    """
+    model = mujoco.MjModel.from_xml_string(SCENE.format(kind="cylinder", size=size))
+    at = on_treads(model, size, 400).astype(np.float32)
+    others, dist, normal = worst(on_warp(model, at, mjx_warp._collision(None)), in_c(model, at))
+    assert others == 0
+    assert dist < 5e-6
+    assert normal < 5e-3
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_geom_that_is_deep_in_a_large_box_keeps_its_contact(case):
+    """Of 2,000 poses one to six had none, up to 9 mm deep; flat ones of boxes may have other numbers."""
+    model = mujoco.MjModel.from_xml_string(SCENE.format(kind=CASES[case][0], size=CASES[case][1]))
+    at = poses(model, *CASES[case], 2000).astype(np.float32)
+    found, expected = on_warp(model, at, mjx_warp._collision(None)), in_c(model, at)
+    assert [bool(one) for one in found] == [bool(one) for one in expected]
 
 
 @pytest.mark.parametrize("radii", [3.9, 4.1, 12.0])

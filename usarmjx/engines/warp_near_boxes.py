@@ -13,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from usarmjx.base.warp_functions import with_globals
+from usarmjx.engines.warp_gjk import unstalled_phase
 
 # Private; the version of MJX is pinned.
 _core: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_core")
@@ -140,7 +141,6 @@ def near_pair(  # noqa: ANN201 - Warp takes an annotation as the type in C
 
 @cache
 def near_collider(*args: int) -> Any:  # noqa: ANN401 - Warp's
-    """Return the kernel that MuJoCo Warp's builder returns for the same arguments, with boxes cut."""
-    return with_globals(_convex.ccd_kernel_builder.__wrapped__, geom_collision_pair_from_types=near_pair)(
-        *args
-    )
+    """Return the kernel that MuJoCo Warp's builder returns for the same arguments, with our changes."""
+    changed = {"geom_collision_pair_from_types": near_pair, "gjk_phase": unstalled_phase}
+    return with_globals(_convex.ccd_kernel_builder.__wrapped__, **changed)(*args)
