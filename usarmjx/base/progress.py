@@ -41,7 +41,7 @@ class StatusLine:
     """A line on a terminal; on other streams each text is a line of its own.
 
     Args:
-        stream: Where it is written.
+        stream: Stream that it is written to.
     """
 
     _shown: "StatusLine | None" = None

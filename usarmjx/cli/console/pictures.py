@@ -34,7 +34,7 @@ class PictureStream:
         fps: Most pictures per second.
 
     Attributes:
-        address: What the server calls it, for `SET {Type Camera} {Client ...}`.
+        address: Name that the server has for it, for `SET {Type Camera} {Client ...}`.
     """
 
     def __init__(self, host: str, port: int, token: str = "", fps: float = 5.0) -> None:

@@ -277,7 +277,7 @@ class VacuumSettings(EffecterSettings):
     """Vacuum.uc of the later versions.
 
     Attributes:
-        suction_length: How far ahead it picks things up, and how far they may move while it holds them [m].
+        suction_length: Reach ahead for things to pick up, and their largest motion while they are held [m].
     """
 
     suction_length: Annotated[float, NOT_NEGATIVE] = 0.125

@@ -25,7 +25,7 @@ class Games(NamedTuple):
     """Games of the policy against one player, each of one episode.
 
     Attributes:
-        games: How many.
+        games: Number of games.
         won: Those that the policy won.
         lost: Those that it lost.
         score: Mean score of the policy.

@@ -45,7 +45,7 @@ class Belief(struct.PyTreeNode, kw_only=True):
     """Beliefs of the robots of one world.
 
     Attributes:
-        evidence: What their own scans say of squares; see `maps.update_evidence` (robots, i, j).
+        evidence: Evidence of their own scans about squares; see `maps.update_evidence` (robots, i, j).
         marks: Sightings of what they look for (robots, i, j).
         received_map: Squares in the maps that came by mail (robots, i, j).
         visited: Squares visited (robots, i, j).
@@ -62,7 +62,7 @@ class Belief(struct.PyTreeNode, kw_only=True):
         lagged_position: Smoothed positions of some time ago [m] (robots, 2).
         waypoint: The next position on their path [m] (robots, 2).
         goal: End of that way, as they send it [m] (robots, 2).
-        path_length: How long it is, with all costs; `wavefront.UNREACHABLE`: there is none [squares]
+        path_length: Length of that way, with all costs; `wavefront.UNREACHABLE`: there is none [squares]
             (robots,).
     """
 

@@ -260,7 +260,7 @@ class Goals(struct.PyTreeNode, kw_only=True):
     """Goals of a robot.
 
     Attributes:
-        position: Where they are [m] (goals, 2).
+        position: Positions [m] (goals, 2).
         length: Length of the ways there, walls beside them included; `UNREACHABLE`: none [squares] (goals,).
         gain: Share of the squares around that are unknown (goals,).
         valid: Which there are (goals,).

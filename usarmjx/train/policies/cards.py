@@ -27,7 +27,7 @@ class PolicyCard:
         sha256: Hash of its file.
         trained: Engine, machine, time and commit of its training.
         seeds: Its seed, and how many there were.
-        chosen: How it was chosen among runs and checkpoints.
+        chosen: Rule of its choice among runs and checkpoints.
         settings: Settings of the training.
         curve: Scores in training over its length.
         score: Scores with 95 % intervals, and those of the baseline.

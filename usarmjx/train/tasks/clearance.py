@@ -40,7 +40,7 @@ class Boxes(struct.PyTreeNode, kw_only=True):
     Attributes:
         centre: In the world, x and y [m] (..., 2).
         half: Half lengths along their own axes [m] (..., 2).
-        yaw: How they are turned [rad] (...,).
+        yaw: Rotation about the vertical [rad] (...,).
         low: Height of the lower face [m] (...,).
         high: Of the upper one [m] (...,).
     """

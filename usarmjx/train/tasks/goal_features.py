@@ -143,7 +143,7 @@ def goal_features(grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, ju
         grid: The squares.
         belief: Their beliefs.
         goals: Their goals (robots, GOALS, ...).
-        chosen: Where they go (robots,).
+        chosen: Number of the goal that each goes to (robots,).
         judged: Further inputs of their judgement.
     """
     robots, base = len(belief.pose), judged.base

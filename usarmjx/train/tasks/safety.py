@@ -115,9 +115,9 @@ def safe_command(body: Footprint, seen: jax.Array, mates: jax.Array, command: ja
 
     Args:
         body: The robot.
-        seen: What its scanner sees, in its axes [m] (n, 2).
+        seen: Points that its scanner sees, in its axes [m] (n, 2).
         mates: Outlines of other robots, in its axes [m] (n, 2).
-        command: What it wants (2,).
+        command: Command that it wants (2,).
     """
     # A retreat both ways: the obstacle may be ahead or behind.
     speeds = jnp.concatenate([np.array(SPEED_SHARES) * command[0], np.array([-RETREAT, RETREAT])])
@@ -145,7 +145,7 @@ def mate_points(pose: jax.Array, mates: jax.Array, age: jax.Array, outlines: Arr
 
     Args:
         pose: The robot's: x, y [m], yaw [rad] (3,).
-        mates: Where others said to be (robots, 3).
+        mates: Poses that others reported (robots, 3).
         age: Of that [s] (robots,).
         outlines: Of each robot, in its axes [m] (robots, 8, 2).
     """

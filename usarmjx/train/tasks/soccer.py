@@ -225,7 +225,7 @@ class SoccerMemory(struct.PyTreeNode, kw_only=True):
     """The task's memory of an episode.
 
     Attributes:
-        belief: What each robot believes (robots, ...).
+        belief: Beliefs of each robot (robots, ...).
         potential: Worth of the game for blue, see `Soccer` ().
         score: Goals of blue less those of yellow ().
         step: Actions so far ().

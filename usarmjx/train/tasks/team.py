@@ -143,7 +143,7 @@ class TeamMemory(struct.PyTreeNode, kw_only=True):
     """Memory of team tasks in an episode.
 
     Attributes:
-        belief: What each robot believes (robots, ...).
+        belief: Beliefs of each robot (robots, ...).
         step: Actions so far, and those of `skipped` ().
         skipped: Actions that count as done before the episode began, see `Task.started_at` ().
         reachable: Which squares a robot gets to (i, j).
