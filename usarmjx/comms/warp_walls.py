@@ -75,6 +75,7 @@ def _crosses_cylinder(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
     width = s[1] / wp.abs(slope)
     low = wp.clamp(centre - width, -1.0, 1.0)
     high = wp.clamp(centre + width, -1.0, 1.0)
+    # Nearest to the axis on the part of the segment, which goes from -1 to 1, between the planes of the caps.
     t = wp.clamp(-(m[0] * h[0] + m[1] * h[1]) / wp.max(h[0] * h[0] + h[1] * h[1], TINY), low, high)
     x = m[0] + t * h[0]
     y = m[1] + t * h[1]
@@ -123,6 +124,7 @@ def _intersection(one: wp.vec2, other: wp.vec2) -> wp.vec2:
 
 @wp.func
 def _crosses_column(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
+    # Below the triangle z = 0, above the plane of the bottom, and within the three sides.
     inside = _positive_interval(-m[2], -h[2])
     bottom = _positive_interval(m[2] + s[0] * m[0] + s[1] * m[1] + s[2], h[2] + s[0] * h[0] + s[1] * h[1])
     inside = _intersection(inside, bottom)

@@ -233,6 +233,7 @@ def _depth(pair: _Pair, points: jax.Array, n: jax.Array) -> jax.Array:
     nearest = rho + middle[..., None] * drho
     miss = pair.radius**2 - _dot(nearest, nearest)
     side = middle + jnp.sqrt(jnp.maximum(miss, TINY) / square)
+    # A line that misses the cylinder has a negative depth, of which no contact is made.
     return jnp.where(miss > 0, jnp.minimum(cap, side), -INACTIVE)
 
 

@@ -70,6 +70,7 @@ class ShortBoxes:
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Compile the model with the pieces in place of the boxes."""
+        # A copy: the scene's own description keeps its boxes whole.
         spec = spec.copy()
         arena = spec.body("arena")
         assert arena is not None

@@ -142,6 +142,7 @@ def _aligned(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
         return estimate
     turn = truth[0, 2] - estimate[0, 2]
     cos, sin = math.cos(turn), math.sin(turn)
+    # The transposed rotation, as points are rows.
     moved = (estimate[:, :2] - estimate[0, :2]) @ np.array([[cos, sin], [-sin, cos]])
     return np.column_stack([moved + truth[0, :2], estimate[:, 2] + turn])
 

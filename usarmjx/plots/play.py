@@ -430,6 +430,7 @@ def draw_finds(axes: Axes, rows: Sequence[TeamResult], period: float) -> None:
     The legend is above the panel, where it covers no line.
     """
     for number, row in enumerate(rows):
+        # One more than there are steps: nothing is found before the first.
         times = period * np.arange(len(row.finds) + 1)
         label = f"{row.name}: score {row.score.value:.1f}"
         axes.plot(times, [0.0, *row.finds], color=PALETTE[number % len(PALETTE)], label=label)

@@ -58,6 +58,7 @@ def parse_position(text: str) -> tuple[float, ...]:
     try:
         position = tuple(float(part) for part in text.split(","))
     except ValueError:
+        # A wrong length is refused below, with the same words.
         position = ()
     if len(position) not in (2, 3) or not np.isfinite(position).all():
         raise UsageError(f"{text!r} is not of the form x,y or x,y,z [m]")

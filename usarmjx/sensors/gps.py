@@ -64,6 +64,7 @@ class GpsSettings(SensorSettings):
         if self.min_noise > self.max_noise:
             return f"minNoise is {self.min_noise:g}, expected at most maxNoise, {self.max_noise:g}"
         for key, scale in (("LatitudeScale", self.latitude_scale), ("LongitudeScale", self.longitude_scale)):
+            # Positions are divided by the scale: one near 0 would send a robot around the globe.
             if abs(scale) < 1.0:
                 return f"{key} is {scale:g}, expected at least 1 or at most -1 metres a degree"
         return ""
@@ -101,6 +102,7 @@ def reference_location(location: Options) -> tuple[float, float]:
         SpecError: An unknown key, or a value that is not a number.
     """
     known = [f"{name}{part}" for name in ("Latitude", "Longitude") for part in ("Degree", "Minute")]
+    # As in Unreal's ini files, the case of keys does not count.
     values = {key.lower(): value for key, value in location}
     if unknown := values.keys() - {key.lower() for key in known}:
         raise SpecError(f"ZeroZeroLocation has no {sorted(unknown)}; it has: {', '.join(known)}")

@@ -301,6 +301,7 @@ class MagneticCompass(Sensor):
         """Measure once."""
         mat = inputs.bodies.mat[..., 0, :, :]
         heading = xp.arctan2(mat[..., 1, 0], mat[..., 0, 0])
+        # North is clockwise, as on the wire; headings here are counter-clockwise.
         return memory, wrap_angle(-self.settings[0].north - heading)[..., None]
 
 

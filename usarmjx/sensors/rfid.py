@@ -187,6 +187,7 @@ class Rfid(Sensor):
         tags = _nearest_tags(surroundings, pos[..., 0, :])
         way = tags.pos + xp.array([0.0, 0.0, RAY_END_HEIGHT]) - pos
         along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), MIN_TAG_DISTANCE)
+        # A zero direction is not cast, and hits nothing.
         along = xp.where((tags.there & (tags.distance <= self.max_distance))[..., None], along, 0.0)
         return xp.broadcast_to(pos, along.shape), along
 

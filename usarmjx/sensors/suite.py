@@ -157,6 +157,7 @@ class Suite:
         """
         if on_numpy():
             return self._hits_on_numpy(cast, bodies, np.asarray(slot), due, surroundings, own)
+        # Each sensor for itself: ranges, transparent materials and bundles of rays differ.
         hits = [
             self._hits_of(
                 sensor,
@@ -293,7 +294,7 @@ class Suite:
             if not on_numpy():
                 return sensor.read(inputs, memory, key)
             if random.axes(key) and not is_vectorized(sensor.read):
-
+                # A method without the mark of `vectorized` knows one robot only.
                 def of_robot(robot: int, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
                     return sensor.read(inputs.of(robot), memory, key)
 

@@ -308,6 +308,7 @@ def move_joints(
         if joint is None:
             known = ", ".join(plan.parts[1:])
             raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
+        # By a mask, on which leading axes of commands and values broadcast alike.
         at_joint = np.arange(len(plan.parts) - 1) == joint
         target = xp.where(at_joint, xp.asarray(value, xp.float32)[..., None], target)
         modes = xp.where(at_joint, int(mode), modes).astype(xp.int32)

@@ -306,6 +306,7 @@ class SingleWorld:
         """Remove a loose object, by its number; the states of all others are kept to the bit."""
         arena = self.scene.arena
         name = arena.loose[number].name
+        # Vacuums let go first, so that no weld names a body that is gone.
         self._suction.open(self._suction.holding([f"{LOOSE_PREFIX}{name}"]))
         after = replace(arena, loose=(*arena.loose[:number], *arena.loose[number + 1 :]))
         self.engine.edit(lambda spec: remove_loose(spec, name), lambda spec: None, after)
@@ -449,6 +450,7 @@ class SingleWorld:
         for i, group in enumerate(self.scene.groups):
             some = [member for member, slot in enumerate(group.slots.tolist()) if slot in slots]
             if len(some) == len(group.slots):
+                # A whole group needs no copy of its rows.
                 found.append((i, None))
                 groups.append(group)
             elif some:

@@ -93,6 +93,7 @@ class Capture:
                 shapes.setdefault(key, shape)
                 bodies.append(DrawnBody(name=name, shape=key, slot=NOBODY, label=label))
             for group in scene.groups:
+                # By class: robots of a class share their meshes.
                 shapes |= _robot_shapes(group)
                 for slot in cast(list[int], group.slots.tolist()):
                     given = None if names is None else names.get(slot)
@@ -187,6 +188,7 @@ class Capture:
         fixed, *data = visible_arena(self._scene, world.arena_state, clock)
         rows = [_picked(fixed, ~np.isin(fixed.label, BONES))]
         if data:
+            # All worlds have as many geoms as the largest arena: those that this one lacks are far away.
             here = ~self._moving(world) & (np.abs(np.asarray(data[0].pos)) < FARTHEST).all(-1)
             rows.append(_picked(data[0], here & ~np.isin(data[0].label, BONES)))
         rows += _still_limbs(_victims(self._scene, world), clock, self._scene.arena.floor)

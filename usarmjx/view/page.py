@@ -323,6 +323,7 @@ class LayerSwitches:
         with gui.add_folder("Show", expand_by_default=False):
             for layer in page.layers.values():
                 box = gui.add_checkbox(layer.name, layer.shown_at_first, hint=layer.about)
+                # Bound as a default: the loop's variable has moved on when the box is clicked.
                 box.on_update(
                     lambda event, layer=layer: page.post(lambda: self.switch(layer, event.target.value))
                 )
@@ -382,6 +383,7 @@ class ViewButtons:
     def _do(self, name: str, client: int | None) -> None:
         page = self._page
 
+        # Looked up when it runs: the user may have left until then.
         def act() -> None:
             viewer = None if client is None else page.viewers.get(client)
             if viewer is None:

@@ -276,6 +276,7 @@ class RunControls:
         def done(_: object, confirmed: bool) -> None:
             modal.close()
             if confirmed:
+                # Asked again: another user may have got the controls while the question was open.
                 self._do(partial(self._controls.reset, self._world))
 
         confirm.on_click(partial(done, confirmed=True))

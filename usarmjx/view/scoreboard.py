@@ -298,6 +298,7 @@ def board_html(
     more = (
         f"<tr><td colspan=4>and {len(slots) - MAX_ROBOTS} more</td></tr>" if len(slots) > MAX_ROBOTS else ""
     )
+    # Escaped: names in it come from clients.
     events = "".join(f"<li>{clock(at)} {html.escape(text)}</li>" for at, text in log.events)
     return (
         f'<div class="usarmjx-board" data-world="{html.escape(title, quote=True)}">'

@@ -201,6 +201,7 @@ class Stage:
         self._labels = []
         for number, cell in enumerate(self.cells if len(self.cells) > 1 else ()):
             (west, east), (south, _) = cell.drawing.extent.tolist()
+            # In the south, from where the first view of several worlds looks (`viewpoint.ROWS_DIRECTION`).
             near = np.array([(west + east) / 2, south - GROUND_MARGIN / 2, cell.drawing.floor])
             self._labels.append(
                 self._scene.add_label(

@@ -441,6 +441,7 @@ class UserPanel:
 
 def _names(drawing: Drawing) -> dict[int, str]:
     """Return the robots' names for a list, by slot: equal names get their slots."""
+    # A list in the page returns the chosen name, which must say which robot is meant.
     names = [robot.name for robot in drawing.robots.values()]
     return {
         slot: robot.name if names.count(robot.name) == 1 else f"{robot.name} ({slot})"

@@ -347,6 +347,7 @@ class CEngine(Engine[CState]):
         new[:, at[STATE.mjSTATE_CTRL]], new[:, at[STATE.mjSTATE_ACT]] = arrays.ctrl, arrays.act
         new[:, at[STATE.mjSTATE_XFRC_APPLIED]] = arrays.xfrc_applied.reshape(self.worlds, -1)
         np.copyto(new[:, at[STATE.mjSTATE_QPOS]], arrays.qpos, where=arrays.pinned)
+        # The warm start, too, as it is an acceleration: pinned coordinates have none.
         for part in (STATE.mjSTATE_QVEL, STATE.mjSTATE_WARMSTART):
             np.copyto(new[:, at[part]], 0.0, where=arrays.pinned_dof)
         return new

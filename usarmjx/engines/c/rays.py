@@ -463,6 +463,7 @@ class CRayCaster:
     ) -> None:
         self._model, self._data = model, data
         self.met = dict[tuple[int, str], np.ndarray]()
+        # MuJoCo's rays choose geoms by group, so that groups stand for materials here.
         model.geom_group[:] = [MATERIALS.index(material) for material in materials]
         self._robot_geoms = {
             slot: np.flatnonzero(np.isin(model.geom_bodyid, index.body_ids)) for slot, index in robots.items()
@@ -682,6 +683,7 @@ def _emptied(model: mujoco.MjModel, unmet: np.ndarray) -> Generator[None]:
     empty = np.ones(len(counts), bool)
     empty[model.geom_bodyid[groups != HIDDEN_GROUP]] = False
     counts[empty], trees[empty] = 0, -1
+    # The model is the engine's, too: it comes back whole, whatever a cast raises.
     try:
         yield
     finally:

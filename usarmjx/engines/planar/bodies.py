@@ -66,6 +66,7 @@ class FixedBodies:
         if len(self.hinged):
             half = qpos[self.hinge_qpos][:, None] / 2
             turn = mat_from_quat(jnp.concatenate([jnp.cos(half), jnp.sin(half) * self.axis], -1))
+            # On the right: hinges turn about axes of their own bodies.
             mat = set_rows(mat, (self.hinged, matmul(mat[self.hinged], turn)))
         return pos, mat
 

@@ -135,6 +135,7 @@ def contact_point(
         discs: Whether any may be a disc.
     """
     (x, y), (along, middle) = direction, place
+    # Back from the direction's axes to those of the plan.
     at = along * x - middle * y, along * y + middle * x
     if not discs:
         return at

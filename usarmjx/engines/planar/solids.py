@@ -70,6 +70,7 @@ def unpack_solids(solids: PlanSolids | Array, *, discs: bool) -> PlanSolids:
     """Unpack solids packed by `pack_solids`; `discs` as for those."""
     if isinstance(solids, PlanSolids):
         return solids
+    # In the order of the leaves, as `pack_solids` stacks them.
     parts = [solids[..., i, :, :] for i in range(solids.shape[-3])]
     outline, others = Outlines(*parts[: len(Outlines._fields)]), parts[len(Outlines._fields) :]
     low, top, slope_x, slope_y, highest = others
@@ -242,6 +243,7 @@ def top_heights(solids: PlanSolids, x: Array, y: Array, reach: Array) -> Array:
     inside = jnp.abs(dx * one.cos + dy * one.sin) <= one.length
     inside &= jnp.abs(dy * one.cos - dx * one.sin) <= one.width
     if solids.discs:
+        # The sides of discs are 0: the tests before leave all but their middles out.
         inside |= dx * dx + dy * dy <= one.radius * one.radius
     height = solids.top + dx * solids.slope_x + dy * solids.slope_y
     return jnp.where(inside & (height <= reach), height, -FAR_AWAY)

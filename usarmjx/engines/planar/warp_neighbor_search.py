@@ -401,6 +401,7 @@ def _code(most: int, room: int, threads: int = THREADS) -> str:
         "RANK_RESOLUTION",
         "OTHER_HEIGHT_RANK",
     )
+    # With an f: a literal without it would make C++ compute in double precision.
     words: dict[str, object] = {name: f"{getattr(neighbor_lists, name)}f" for name in measures}
     words |= {"MOST": most, "ROOM": room, "THREADS": f"{threads}u"}
     scratch = scratch_numbers(room, threads)

@@ -86,6 +86,7 @@ def save_film(
     if plan.follow is not None:
         _check_robot(source, index, plan.follow, times)
 
+    # One at a time: the pictures of a long film would not fit into memory.
     def pictures() -> Iterator[np.ndarray]:
         shots = Shots(source, index, plan)
         for done, time in enumerate(times.tolist(), 1):

@@ -260,6 +260,7 @@ class FilmScene:
         self, view: FilmView, corners: np.ndarray, normals: np.ndarray, shown: np.ndarray
     ) -> "_Base":
         """Return what does not move, rasterized and shaded."""
+        # `render` draws the shadows before it needs a base.
         assert self._shadow is not None
         canvas = self._canvas(view, corners, shown & self._still)
         panes = self._panes(view, corners, shown & self._still) if self._clear.any() else None

@@ -407,6 +407,7 @@ def solids_of(drawing: Drawing) -> Solids:
     parts: list[Solids] = []
     robots_floor = drawing.floor + OVERHEAD
     for index, body in enumerate(drawing.bodies):
+        # High parts of robots are no roof.
         shape = _kept(drawing.shapes[body.shape], drawing, robots_floor if body.slot == NOBODY else None)
         parts += [_part(mesh, finish, body.label, index) for finish, mesh in meshes_of(shape).items()]
     if drawing.has_floor:

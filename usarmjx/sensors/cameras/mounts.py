@@ -218,6 +218,7 @@ def _rest_poses(plan: KinematicTree, solids: Solids) -> tuple[np.ndarray, np.nda
 
 def _distance_from_geom(kind: int, point: np.ndarray, size: np.ndarray) -> float:
     """Return the distance of a point from a geom in its frame [m]; for an ellipsoid, from its box."""
+    # One octant stands for all, as these solids are symmetric; triangles are not, and get the point itself.
     x, y, z = np.abs(point)
     if kind == GeomType.mjGEOM_SPHERE:
         return float(np.linalg.norm(point)) - size[0]

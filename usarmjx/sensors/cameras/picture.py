@@ -314,6 +314,7 @@ def annotate(
     instance = xp.where(seen.view.inside, instance, OUTSIDE_LABEL)
     shown = (there & seen.view.inside)[:, None]
     normal = xp.where(shown, seen.normal @ xp.asarray(viewpoint.mat), 0.0)
+    # By index: geoms are in the same order at both moments.
     now, then = (
         jax.tree.map(lambda column: xp.asarray(column)[which], concatenated(scene.geoms))
         for scene in (render_scene, later_scene)

@@ -159,6 +159,7 @@ def _chart(u: Array, v: Array, number: Array) -> Array:
 def _hazmat(u: Array, v: Array, number: Array) -> Array:
     """Draw a diamond with a black rim: class colour and disc above, as many bars as its class below."""
     away = xp.abs(u) + xp.abs(v)
+    # Hazard classes are numbered from 1.
     colour = xp.asarray(HAZARD_RGB).T[:, (number - 1) % len(HAZARD_RGB)]
     disc = xp.hypot(u, v - 0.35) < 0.2
     bar = xp.floor((u + 0.3) / 0.12)
@@ -186,6 +187,7 @@ def _qr(u: Array, v: Array, number: Array) -> Array:
     column = xp.floor((u + 1) / 2 * cells).astype(xp.int32) - QR_RIM
     row = xp.floor((1 - v) / 2 * cells).astype(xp.int32) - QR_RIM
     inside = (column >= 0) & (column < QR_SIDE) & (row >= 0) & (row < QR_SIDE)
+    # Clipped to valid cells; beyond the code the result is dropped.
     place = (number % len(QR_CELLS), xp.clip(row, 0, QR_SIDE - 1), xp.clip(column, 0, QR_SIDE - 1))
     return xp.where(inside & xp.asarray(QR_CELLS)[place], BLACK, WHITE)
 

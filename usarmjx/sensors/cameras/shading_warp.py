@@ -390,6 +390,7 @@ def packed_lights(render_scene: "RenderScene") -> jax.Array:
     ]
     head = jnp.stack([jnp.asarray(one, jnp.float32) for one in single]).reshape(3, 4)
     total = jnp.asarray(lamps.rgb).sum(-1, keepdims=True)
+    # Filled up to whole rows of four numbers, which kernels read at once.
     parts = [
         (lamps.pos, total, jnp.asarray(lamps.rgb) / jnp.maximum(total, shading.MIN_LIGHT), 0 * total),
         (headlights.pos, on[:, None], headlights.direction, jnp.asarray(headlights.label)[:, None]),

@@ -98,6 +98,7 @@ def _wood(across: float, up: float) -> float:
     column = int(wp.floor(along))
     gap = (along - wp.float32(column)) * PLANK_LENGTH < 0.004
     gap = gap or (up / PLANK_WIDTH - wp.float32(row)) * PLANK_WIDTH < 0.004
+    # Another part of the noise for each row of planks, or the grain would go on across their gaps.
     grain = smooth_noise(across / GRAIN_LENGTH + 7.0 * wp.float32(row), up / GRAIN_WIDTH, 6)
     return wp.where(gap, 0.35, (0.7 + 0.3 * lattice_noise(column, row, 7)) * (0.75 + 0.4 * grain))
 
@@ -231,6 +232,7 @@ def sign_position(local: wp.vec3, facing: wp.vec3, size: wp.vec3) -> wp.vec2:
         facing: The normal there, in the box's frame.
         size: Half lengths [m].
     """
+    # Normals of a box are along one axis: the bound is between 0 and 1, with room for rounding.
     x = wp.abs(facing[0]) > 0.7
     y = wp.abs(facing[1]) > 0.7
     top = wp.abs(facing[2]) > 0.7

@@ -323,6 +323,7 @@ def _cone_distances(info: GeomBlockInfo, block: jax.Array, cone: Cone) -> jax.Ar
         tuple(number[SIZE_OFFSET:OWNER_OFFSET]),
     )
     if info.compact:
+        # Compact geoms fill their bounding spheres: these cull as well as turned boxes, with less arithmetic.
         around = bounding_radius(info.kind, size)
         return cone_sphere_distance([-x for x in offset], axis, around, radius, slope)
     turned = [[number[MAT_OFFSET + 3 * j + i] for j in range(3)] for i in range(3)]

@@ -162,6 +162,7 @@ def _in_hole(p: wp.vec3, s: wp.vec3) -> bool:
     over_x = wp.abs(p[0]) - s[0]
     over_y = wp.abs(p[1]) - s[1]
     over_z = wp.abs(p[2]) - s[2]
+    # The face is that whose plane is nearest: by rounding no point lies on a plane exactly.
     on_x = over_x >= over_y and over_x >= over_z
     on_y = not on_x and over_y >= over_z
     return wp.where(on_x, free_y and free_z, wp.where(on_y, free_x and free_z, free_x and free_y))
@@ -227,12 +228,14 @@ def _round_normal(kind: int, p: wp.vec3, s: wp.vec3) -> wp.vec3:
 @wp.func
 def normal_of(kind: int, p: wp.vec3, s: wp.vec3) -> wp.vec3:
     """Return the unit normal at a point on the surface, outward or inward; see `kernels.surface_normal`."""
+    # Planes and triangles lie in z = 0 of their own frames.
     normal = wp.vec3(0.0, 0.0, 1.0)
     if kind == BOX or kind == FENDER:  # noqa: SIM109 - Warp knows no `in`
         normal = _box_normal(p, s)
     elif kind == SPHERE:
         normal = _unit(p)
     elif kind == ELLIPSOID:
+        # The gradient of the ellipsoid's equation.
         normal = _unit(wp.cw_div(p, wp.cw_mul(s, s)))
     elif kind == CYLINDER or kind == CAPSULE:  # noqa: SIM109 - as above
         normal = _round_normal(kind, p, s)

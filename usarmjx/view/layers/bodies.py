@@ -193,6 +193,7 @@ class SensorBodyLayer(NodeLayer):
         body, count = self._body[there], int(there.sum())
         quat = frame.quat[body]
         with numpy_backend():
+            # On NumPy: JAX would compile for each number of robots.
             offset = np.asarray(matvec(mat_from_quat(quat), self._pos[there]))
         turns = quat_product(quat, self._turn[there])
         self._boxes.set(frame.pos[body] + offset, turns, np.ones(count), np.tile(self._rgb, (count, 1)))

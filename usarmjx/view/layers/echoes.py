@@ -198,6 +198,7 @@ class InfraredLayer(NodeLayer):
         with numpy_backend():
             ahead = np.asarray(mat_from_quat(self._held.quat))[:, :, 0]
         ends = np.stack([self._held.pos, self._held.pos + ranges[:, None] * ahead], 1)
+        # A line that ends at its full range has met nothing, and has no point there.
         points = ends[(ranges > 0) & (ranges < self._max_range), 1]
         self._lines.set(ends[ranges > 0], IR_RGB)
         self._points.set(points, np.broadcast_to(IR_RGB, points.shape))

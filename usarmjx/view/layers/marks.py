@@ -94,6 +94,7 @@ def disc() -> tuple[np.ndarray, np.ndarray]:
     this = np.arange(TAG_SIDES)
     following = (this + 1) % TAG_SIDES
     middle = np.array([[0.0, 0.0, TAG_HEIGHT]])
+    # No faces below: tags lie on the ground.
     faces = [
         np.stack([this, following, np.full(TAG_SIDES, 2 * TAG_SIDES)], -1),
         np.stack([this, TAG_SIDES + this, following], -1),
@@ -229,6 +230,7 @@ def heading_ring() -> tuple[np.ndarray, np.ndarray]:
     around = 2 * math.pi * np.arange(RING_SIDES) / RING_SIDES
     circle = np.stack([np.cos(around), np.sin(around), np.zeros(RING_SIDES)], -1)
     up = np.array([0.0, 0.0, RING_HEIGHT / 2])
+    # Once around the section, so that each rim and the next make a side of the ring.
     rims = [circle + up, circle * (1 - RING_WIDTH) + up, circle * (1 - RING_WIDTH) - up, circle - up]
     this = np.arange(RING_SIDES)
     following = (this + 1) % RING_SIDES
