@@ -7,6 +7,8 @@ import pytest
 
 from usarmjx.base import random
 from usarmjx.base.backend import (
+    MAX_RUNS,
+    get_rows,
     jit,
     named_scope,
     numpy_backend,
@@ -191,3 +193,30 @@ def test_parts_of_a_tick_are_named_in_compiled_code_only():
     assert "outer/inner" in text
     with numpy_backend():
         assert function(np.float32(0.0)) == 0.0
+
+
+@pytest.mark.parametrize("places", [[2, 3, 4], [0, 1, 2, 3, 4, 5], [4, 2], [], [[0, 2], [4, 1]]])
+def test_rows_are_got_as_numpy_indexes_them(places):
+    rows, values = np.array(places, int), np.arange(12.0, dtype=np.float32).reshape(6, 2)
+    if rows.ndim == 1:
+        with numpy_backend():
+            np.testing.assert_array_equal(get_rows(values, rows), values[rows])
+        np.testing.assert_array_equal(get_rows(jnp.asarray(values), rows), values[rows])
+    expected = values.copy()
+    expected[rows] = -1.0
+    np.testing.assert_array_equal(set_rows(jnp.asarray(values), (rows, -1.0)), expected)
+
+
+def test_many_blocks_of_rows_are_set_as_few_are():
+    """More than `MAX_RUNS` blocks are gathered; both give what NumPy does."""
+    values, odd = np.arange(80.0, dtype=np.float32), np.arange(1, 80, 2)
+    expected = values.copy()
+    expected[odd] = -odd
+    assert len(odd) > MAX_RUNS
+    np.testing.assert_array_equal(set_rows(jnp.asarray(values), (odd, -odd)), expected)
+
+
+def test_successive_rows_take_no_gather():
+    rows = np.array([2, 3])
+    whole = jax.make_jaxpr(lambda x: set_rows(x, (rows, get_rows(x, rows) + 1)))(jnp.zeros(6))
+    assert {str(one.primitive) for one in whole.eqns}.isdisjoint({"gather", "scatter"})

@@ -148,10 +148,25 @@ Part: TypeAlias = tuple[np.ndarray, Any]
 """Row indices of any shape, and the new rows: an array that broadcasts to that shape."""
 
 
+MAX_RUNS = 16
+"""Most blocks of successive rows that are joined: from more on a gather takes less."""
+
+
+def get_rows(values: Array, places: np.ndarray) -> Any:  # noqa: ANN401 - an array of the library in force
+    """Return the rows of an array (n, ...) at indices that are known beforehand (rows,).
+
+    On JAX successive rows are a slice: a gather would be a kernel of its own on a GPU, and a copy.
+    """
+    if _on_numpy.get() or not places.size or (np.diff(places) != 1).any():
+        return values[places]
+    return values[int(places[0]) : int(places[-1]) + 1]
+
+
 def set_rows(values: Array, *parts: Part) -> Any:  # noqa: ANN401 - an array of the library in force
     """Return a copy of an array (n, ...) with rows replaced, part by part.
 
-    On JAX this is one gather: separate writes would each be a kernel on a GPU and a loop on a CPU.
+    On JAX a few blocks of successive rows are joined, many are one gather: separate writes would each be a
+    kernel on a GPU and a loop on a CPU.
     """
     if _on_numpy.get():
         copy = np.array(values)
@@ -159,14 +174,19 @@ def set_rows(values: Array, *parts: Part) -> Any:  # noqa: ANN401 - an array of 
             copy[places] = new
         return copy
     values = jnp.asarray(values)
-    # `source` maps each output row to a row of the old array followed by all new rows.
-    rows, source = [values], np.arange(values.shape[0])
+    # `owner` and `row` map each output row to an array, the old one or a part, and a row of that.
+    rows, owner, row = [values], np.zeros(len(values), int), np.arange(len(values))
     for places, new in parts:
-        source[places] = sum(row.shape[0] for row in rows) + np.arange(places.size).reshape(places.shape)
+        owner[places], row[places] = len(rows), np.arange(places.size).reshape(places.shape)
         new = jnp.broadcast_to(jnp.asarray(new, values.dtype), (*places.shape, *values.shape[1:]))
         rows.append(new.reshape(-1, *values.shape[1:]))
+    runs = np.split(np.arange(len(row)), np.flatnonzero(np.diff(owner) | (np.diff(row) != 1)) + 1)
+    if len(runs) <= MAX_RUNS:
+        blocks = [rows[owner[run[0]]][row[run[0]] : row[run[-1]] + 1] for run in runs if run.size]
+        return jnp.concatenate(blocks) if len(blocks) > 1 else (blocks or rows)[0]
+    starts = np.cumsum([0, *map(len, rows)])
     # The indices are constants that were made here, so bounds need no check.
-    return jnp.concatenate(rows).at[source].get(mode="promise_in_bounds")
+    return jnp.concatenate(rows).at[starts[owner] + row].get(mode="promise_in_bounds")
 
 
 def stop_gradient(values: T) -> T:
