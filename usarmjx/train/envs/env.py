@@ -228,8 +228,10 @@ def restart_subset(
         now: All worlds, and which are left.
         arenas: See `sim.reset.reset`.
     """
-    # Of fixed size, as compiled shapes are. Surplus rows get the index len(left): reads clip, writes drop it.
-    rows = jnp.nonzero(now.left, size=together, fill_value=len(now.left))[0]
+    number = jnp.cumsum(now.left)  # of worlds that are left, up to each world
+    # Of fixed size, as compiled shapes are. Surplus rows get indices from len(left) on: reads clip, writes
+    # drop them.
+    rows = _distinct(jnp.searchsorted(number, np.arange(together) + 1, method="scan_unrolled"), len(now.left))
     some = jax.tree.map(lambda old: old.at[rows].get(mode="clip"), now.worlds)
     fresh, qpos = jax.vmap(partial(reset, scene, shuffle=task.shuffle), in_axes=(0, None))(some, arenas)
     still = [jnp.zeros((together, size), jnp.float32) for size in (scene.model.nv, scene.model.na)]
@@ -238,19 +240,26 @@ def restart_subset(
     fresh, begun = jax.vmap(partial(start_episode, scene, task))(fresh, physics)
 
     # The inverse of `rows`: the fresh episode that each world takes; `together`: none.
-    place = jnp.full(now.left.shape, together).at[rows].set(jnp.arange(together), mode="drop")
+    begins = now.left & (number <= together)
+    place = jnp.where(begins, number - 1, together)
 
     def put(old: jax.Array, new: jax.Array) -> jax.Array:
         if old[0].size > SCATTER_MIN_SIZE:
-            return old.at[rows].set(new, mode="drop")
-        return select_worlds(place < together, new.at[place].get(mode="clip"), old)
+            # Sorted and each once: else a GPU writes with atomic operations.
+            return old.at[rows].set(new, mode="drop", indices_are_sorted=True, unique_indices=True)
+        return select_worlds(begins, new.at[place].get(mode="clip"), old)
 
     return Restart(
         worlds=jax.tree.map(put, now.worlds, fresh),
         begun=jax.tree.map(put, now.begun, begun),
         qpos=put(now.qpos, jnp.asarray(qpos)),
-        left=now.left.at[rows].set(False, mode="drop"),
+        left=now.left & ~begins,
     )
+
+
+def _distinct(rows: jax.Array, worlds: int) -> jax.Array:
+    """Return sorted rows in which those beyond the last of some worlds, which may be equal, count up."""
+    return jnp.where(rows < worlds, rows, worlds + np.arange(len(rows)))
 
 
 def restart_batch_size(worlds: int, episode_steps: int) -> int:
