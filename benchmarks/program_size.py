@@ -19,10 +19,17 @@ TOLERANCE = 0.05
 
 
 def program_size(lowered: Any) -> Size:  # noqa: ANN401 - jax.stages.Lowered is half typed
-    """Return the lines of a traced program, and its operations and bytes before XLA optimises them."""
+    """Return counts of a traced program, before XLA optimises it.
+
+    Returns:
+        Its lines, its writes at computed indices (`scatters`, each a slow kernel on a GPU), and its
+        operations and bytes.
+    """
     cost: dict[str, float] = lowered.cost_analysis()
+    lines: list[str] = lowered.as_text().splitlines()
     return {
-        "lines": len(lowered.as_text().splitlines()),
+        "lines": len(lines),
+        "scatters": sum("stablehlo.scatter" in line for line in lines),
         "flops": round(cost["flops"]),
         "bytes": round(cost["bytes accessed"]),
     }

@@ -1,4 +1,4 @@
-"""Traced programs do not grow unnoticed: lines, operations and bytes before XLA, which no load changes."""
+"""Traced programs do not grow unnoticed: counts before XLA, which no load changes."""
 
 import json
 
@@ -16,6 +16,13 @@ def test_sizes_of_a_product_are_its_closed_form():
     assert size["flops"] == 120
     assert size["bytes"] == 4 * (12 + 20 + 15)
     assert 3 < size["lines"] < 10
+    assert size["scatters"] == 0
+
+
+def test_writes_at_computed_indices_are_counted():
+    """One write; what is written at a known place of a whole array is none."""
+    size = program_size(jax.jit(lambda x, i: (x.at[i].set(1.0), x + 1)).lower(jnp.zeros(8), jnp.arange(2)))
+    assert size["scatters"] == 1
 
 
 def test_a_count_beyond_its_bound_is_named():

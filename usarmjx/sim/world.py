@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.backend import Array, Part, known_all, named_scope, on_numpy, set_rows, vmap, xp
+from usarmjx.base.backend import Array, Part, get_rows, known_all, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.clock import Clock
 from usarmjx.base.nodes import Node
 from usarmjx.comms.links import Links
@@ -208,7 +208,7 @@ def robot_keys(scene: Scene, group: RobotGroup, key: Array) -> Array:
     if on_numpy():
         return random.fold_in(key, group.slots)
     # Those of all robots, so that XLA computes them once.
-    return random.fold_in(key, np.arange(scene.num_robots))[group.slots]
+    return get_rows(random.fold_in(key, np.arange(scene.num_robots)), group.slots)
 
 
 def map_robots(function: Callable[..., T], sensor_input: SensorInput, keys: Array, *rest: object) -> T:
@@ -243,9 +243,13 @@ def sense_self(
     blind = jax.tree.map(lambda x: xp.zeros((len(group.slots), *x.shape)), NO_HITS)
     clock = clock_of(scene, world)
     around = surroundings(scene, world.arena_state, world.tags, clock) if around is None else around
-    noise = None if world.varied is None or world.varied.noise is None else world.varied.noise[group.slots]
     return SensorInput(
-        clock=clock, state=states, bodies=bodies, hits=blind, surroundings=around, noise_factor=noise
+        clock=clock,
+        state=states,
+        bodies=bodies,
+        hits=blind,
+        surroundings=around,
+        noise_factor=_group_values(world, group, "noise"),
     )
 
 
@@ -383,7 +387,7 @@ def compute_inputs(
 def _group_values(world: World, group: RobotGroup, name: str) -> Array | None:
     """Return a number of each of a group's robots (n,); None: it does not vary."""
     values = None if world.varied is None else getattr(world.varied, name)
-    return None if values is None else values[group.slots]
+    return None if values is None else get_rows(values, group.slots)
 
 
 def _delayed_command(world: World, group: RobotGroup, state: GroupState) -> tuple[RobotCommand, GroupState]:

@@ -242,9 +242,17 @@ def test_how_far_squares_are_from_positions():
     np.testing.assert_allclose(gaps, expected, rtol=1e-6)  # a few roundings
 
 
+def test_one_square_is_set_in_its_mask():
+    mask = np.asarray(GRID.only(jnp.array([2, 1])))
+    assert mask.shape == GRID.shape
+    assert np.argwhere(mask).tolist() == [[2, 1]]
+
+
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
 @pytest.mark.parametrize("low", [(-3.0, 2.0), (-40.0, -40.0), (0.1, -20.0)])
-def test_squares_out_of_reach_need_not_be_looked_at(low, monkeypatch):
-    """Bit for bit the same as all squares looked at; scanners anywhere, also off the map."""
+def test_squares_out_of_reach_need_not_be_looked_at(low, backend, monkeypatch):
+    """Bit for bit the same as all squares looked at, by either path; scanners anywhere, also off the map."""
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
     scanner = ScannerSettings(max_range=4.0, scan_fov=math.pi, resolution=math.pi / 75)
     grid = MapGrid(low=low, cell=0.3, shape=(90, 70))
     random = np.random.default_rng(4)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.backend import Array
+from usarmjx.base.backend import Array, get_rows, set_rows
 from usarmjx.comms.mail import Inboxes, OutgoingMessages
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train.mapping import maps
@@ -162,8 +162,8 @@ def update_from_scan(
         time: The time [s] ().
         recent: Age of a message from which on it does not count [s].
     """
-    evidence, heard = belief.evidence[scan.slots], belief.heard_time[scan.slots]
-    mates = belief.mate_headers[scan.slots, :, :2]
+    evidence, heard = (get_rows(rows, scan.slots) for rows in (belief.evidence, belief.heard_time))
+    mates = get_rows(belief.mate_headers, scan.slots)[..., :2]
 
     def one(
         old: jax.Array, pose: jax.Array, ranges: jax.Array, others: jax.Array, when: jax.Array
@@ -177,8 +177,8 @@ def update_from_scan(
     drawn = jax.vmap(one)(evidence, scan.poses, scan.ranges, mates, heard)
     drawn = jnp.where(scan.fresh[:, None, None], drawn, evidence)
     return belief.replace(
-        evidence=belief.evidence.at[scan.slots].set(drawn),
-        sector_ranges=belief.sector_ranges.at[scan.slots].set(sectors(scan.ranges)),
+        evidence=set_rows(belief.evidence, (scan.slots, drawn)),
+        sector_ranges=set_rows(belief.sector_ranges, (scan.slots, sectors(scan.ranges))),
     )
 
 

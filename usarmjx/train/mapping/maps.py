@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.backend import Array
+from usarmjx.base.compilation import materialize
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.reachability import RobotFootprint, reach_map
 from usarmjx.models.types.arena import ArenaSpec
@@ -77,6 +78,12 @@ class MapGrid:
         steps = jnp.round((jnp.asarray(position) - np.array(self.low, np.float32)) / self.cell)
         return jnp.clip(steps.astype(jnp.int32), 0, np.array(self.shape) - 1)
 
+    def only(self, square: Array) -> jax.Array:
+        """Return a mask of all squares in which only one (2,) is set (i, j)."""
+        rows, columns = map(np.arange, self.shape)
+        # Compared, not written: mapped over robots, a write is a scatter, which is slow on a GPU.
+        return (rows[:, None] == square[0]) & (columns == square[1])
+
 
 def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
     """Return a grid over all of some arenas' extents.
@@ -127,8 +134,19 @@ def classify_scan(
     near = jnp.stack(jnp.meshgrid(x, y, indexing="ij"), -1)
     free, wall = _classify_squares(grid, near, scanner, pose, ranges)
     found = jnp.where(free, FREE, jnp.where(wall, WALL, UNKNOWN)).astype(jnp.uint8)
-    found = jax.lax.dynamic_update_slice(jnp.zeros(grid.shape, jnp.uint8), found, (corner[0], corner[1]))
+    found = _placed(materialize(found), corner, grid.shape)
     return found == FREE, found == WALL
+
+
+def _placed(window: jax.Array, corner: jax.Array, shape: tuple[int, int]) -> jax.Array:
+    """Return a map of some shape, zero but for a window (i, j) with its first square at `corner` (2,)."""
+    if jax.default_backend() != "gpu":
+        return jax.lax.dynamic_update_slice(jnp.zeros(shape, window.dtype), window, (corner[0], corner[1]))
+    # A part of the window with a frame: mapped over robots, the above is a scatter, which is slow on a GPU.
+    frame = [n - width for n, width in zip(shape, window.shape, strict=True)]
+    framed = jnp.pad(window, [(n, n) for n in frame])  # pyright: ignore[reportUnknownMemberType]
+    start = np.array(frame) - corner
+    return jax.lax.dynamic_slice(framed, (start[0], start[1]), shape)
 
 
 def _classify_squares(

@@ -13,7 +13,7 @@ import numpy as np
 from flax import struct
 from jax.custom_batching import custom_vmap
 
-from usarmjx.base.backend import Array, set_rows
+from usarmjx.base.backend import Array, get_rows, set_rows
 from usarmjx.base.compilation import materialize
 from usarmjx.train.mapping.belief import RECENT_AGE, SECTOR_COUNT, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, MapGrid
@@ -117,12 +117,11 @@ def plan_paths(
     planners, heeded = settings.planners, settings.heeded
     if not planners.size:
         return belief
-    mine = _rows_of(planners)
     known = materialize(belief)  # else sums over these maps, for a score, become part of the planner's kernel
-    flyers, visited = settings.flyers[mine, None, None], known.visited[mine]
-    squares = jnp.where(flyers, FREE, known.squares[mine])
-    unseen = flyers & (known.evidence[mine] == 0)
-    wanted = jnp.full(squares.shape, jnp.nan) if wanted is None else wanted[mine]
+    flyers, visited = settings.flyers[planners, None, None], get_rows(known.visited, planners)
+    squares = jnp.where(flyers, FREE, get_rows(known.squares, planners))
+    unseen = flyers & (get_rows(known.evidence, planners) == 0)
+    given = jnp.full(squares.shape, jnp.nan) if wanted is None else get_rows(wanted, planners)
     ages = jnp.where(heeded >= 0, time - known.heard_time[planners[:, None], heeded], jnp.inf)
     mates = known.mate_headers[planners[:, None], heeded]
 
@@ -148,16 +147,10 @@ def plan_paths(
 
     # Only those of lower slots: if two shunned each other's goals, both would turn away.
     first = heeded < planners[:, None]
-    ways = jax.vmap(one)(squares, known.pose[mine], mates, ages, first, ends, wanted)
+    ways = jax.vmap(one)(squares, get_rows(known.pose, planners), mates, ages, first, ends, given)
     before = belief.waypoint, belief.goal, belief.path_length
     after = [set_rows(old, (planners, new)) for old, new in zip(before, ways, strict=True)]
     return belief.replace(waypoint=after[0], goal=after[1], path_length=after[2])
-
-
-def _rows_of(planners: np.ndarray) -> slice | np.ndarray:
-    """Return what takes the planners' rows: a slice if it can be, as that copies no maps."""
-    low, count = int(planners[0]), len(planners)
-    return slice(low, low + count) if (planners == low + np.arange(count)).all() else planners
 
 
 def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, first: Array) -> jax.Array:
@@ -219,7 +212,7 @@ def path_to_nearest(
     open_ = (squares == FREE) & ~(blocked & (grid.gaps(pose[:2]) > grid.cell))
     here = grid.index(pose[:2])
     # Its own square, too, whatever the map says: a way could not end there.
-    open_ = open_.at[here[0], here[1]].set(True)
+    open_ = open_ | grid.only(here)
     far = distances(sources, open_, jnp.where(passable(squares), 0.0, WALL_COST), until=here)
     path = square_centre(grid, shortest_path(far, here, LONGEST))
     length = far[here[0], here[1]]
@@ -292,7 +285,7 @@ def open_squares(grid: MapGrid, squares: Array, pose: Array, blocked: Array | bo
     free = (squares == FREE) & ~(blocked & (grid.gaps(pose[:2]) > grid.cell))
     here = grid.index(pose[:2])
     # Its own square, too, whatever the map says: a way could not end there.
-    return free.at[here[0], here[1]].set(True)
+    return free | grid.only(here)
 
 
 def block_minima(costs: Array, count: int) -> tuple[jax.Array, jax.Array]:
@@ -344,7 +337,7 @@ def find_goals(
         count: Number of frontiers.
     """
     here, open_ = grid.index(pose[:2]), open_squares(grid, squares, pose, blocked)
-    start = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
+    start = jnp.where(grid.only(here), 0.0, UNREACHABLE)
     far = distances(start, open_ | ends, jnp.where(passable(squares), 0.0, WALL_COST))
     square, length = block_minima(jnp.where(ends, far, UNREACHABLE), count)
     there = grid.index(places)
@@ -371,7 +364,7 @@ def way_to(
     """Return the next positions on a robot's way to a goal (2,) [m] (WAY_SQUARES, 2); where it is: no way."""
     here, there = grid.index(pose[:2]), grid.index(goal)
     open_ = open_squares(grid, squares, pose, blocked)
-    start = jnp.full(grid.shape, UNREACHABLE).at[there[0], there[1]].set(0.0)
+    start = jnp.where(grid.only(there), 0.0, UNREACHABLE)
     far = distances(start, open_, jnp.where(passable(squares), 0.0, WALL_COST), until=here)
     way = square_centre(grid, shortest_path(far, here, WAY_SQUARES))
     return jnp.where(far[here[0], here[1]] < UNREACHABLE, way, pose[:2])

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.backend import get_rows, set_rows
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
 from usarmjx.comms.mail import BYTES_PER_NUMBER, OutgoingMessages
 from usarmjx.models.types.robot import RobotSpec
@@ -374,7 +375,7 @@ class GoalTeam(TeamTask):
         if self.discrete:
             wanted = jnp.zeros((scene.num_robots, GOALS))
             for group, action in zip(self.agent_groups(scene), actions, strict=True):
-                wanted = wanted.at[scene.groups[group].slots].set(action[:, :GOALS])
+                wanted = set_rows(wanted, (scene.groups[group].slots, action[:, :GOALS]))
             # An invalid goal never wins, whatever a policy's noise says.
             choice = jnp.where(extra.goals.valid, wanted, -jnp.inf).argmax(-1)
         else:
@@ -407,10 +408,12 @@ class GoalTeam(TeamTask):
         if self.chooses_messages:
             for group, action in zip(self.agent_groups(scene), actions, strict=True):
                 slots = scene.groups[group].slots
-                wanted = jnp.where(offered.valid[slots], action[:, GOALS : self.choices], -jnp.inf).argmax(-1)
-                chosen = chosen.at[slots].set(wanted)
+                wanted = jnp.where(
+                    get_rows(offered.valid, slots), action[:, GOALS : self.choices], -jnp.inf
+                ).argmax(-1)
+                chosen = set_rows(chosen, (slots, wanted))
                 if numbers is not None:
-                    numbers = numbers.at[slots].set(action[:, self.choices :])
+                    numbers = set_rows(numbers, (slots, action[:, self.choices :]))
         facts = state, offered, memory.belief.squares, chosen, numbers
         state = where_due(messages.posted, self.sends_now(memory), state, *facts)
         return memory.replace(extra=memory.extra.replace(messaging=state))
@@ -754,5 +757,5 @@ def _of_agents(
 ) -> Any:  # noqa: ANN401 - a PyTree
     """Return what a function computes of the agents' rows, and zeros for the others (robots, ...)."""
     # The base is no agent, and computing its goals would be as dear as a robot's.
-    found = run(*(one[agents] for one in facts))
-    return jax.tree.map(lambda x: jnp.zeros((robots, *x.shape[1:]), x.dtype).at[agents].set(x), found)
+    found = run(*(get_rows(one, agents) for one in facts))
+    return jax.tree.map(lambda x: set_rows(jnp.zeros((robots, *x.shape[1:]), x.dtype), (agents, x)), found)

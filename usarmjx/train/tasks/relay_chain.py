@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.backend import set_rows
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE
 from usarmjx.comms.links import reachable
 from usarmjx.models.types.robot import RobotSpec
@@ -161,9 +162,8 @@ def first_chain(view: TaskView, memory: TeamMemory, grid: MapGrid) -> RelayChain
     """Return how deep the squares of a building are, before any robot reaches the base."""
     here = grid.index(memory.belief.pose[station_slot(view.scene), :2])
     # The base's own square may be none that a robot gets to, and the wave starts there.
-    inside = memory.reachable.at[here[0], here[1]].set(True)
-    begin = jnp.full(grid.shape, UNREACHABLE).at[here[0], here[1]].set(0.0)
-    far = distances(begin, inside)
+    base = grid.only(here)
+    far = distances(jnp.where(base, 0.0, UNREACHABLE), memory.reachable | base)
     there = memory.reachable & (far < UNREACHABLE)
     # A base that is shut in has a depth of 0 all over, not NaN.
     deepest = jnp.where(there, far, 0.0).max()
@@ -178,7 +178,7 @@ def chain_now(view: TaskView, chain: RelayChainState, grid: MapGrid) -> tuple[Re
     scene, depths = view.scene, jnp.zeros(view.scene.num_robots)
     for g, group in enumerate(scene.groups):
         there = grid.index(view.robots(g).pos[:, :2])
-        depths = depths.at[group.slots].set(chain.depth[there[:, 0], there[:, 1]])
+        depths = set_rows(depths, (group.slots, chain.depth[there[:, 0], there[:, 1]]))
     linked = reachable(jnp.asarray(view.links.in_range), station_slot(scene))
     return chain.replace(linked=linked), depths
 

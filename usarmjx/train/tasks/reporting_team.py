@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.backend import get_rows, set_rows
 from usarmjx.base.settings import POSITIVE, SHARE
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.train.envs.task import TaskView
@@ -93,7 +94,7 @@ class ReportingTeam(GoalTeam):
         has = (has | ~has.any(0)) & news
         # Things are squares (i, j) or victims: one axis stands for both.
         parts = (has / jnp.maximum(has.sum(0), 1)).reshape(len(agents), -1).sum(1)
-        return jnp.zeros(view.scene.num_robots).at[agents].set(parts)
+        return set_rows(jnp.zeros(view.scene.num_robots), (agents, parts))
 
     def score_parts(self, series: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Points for reports, and the contacts'."""
@@ -212,10 +213,10 @@ class SearchBase(ReportingTeam):
         """Return the squares that robots look at now, as far as scans show them free (robots, i, j)."""
         grid, found = self.arena_grid(view.scene), jnp.zeros_like(belief.visited)
         for g in self.agent_groups(view.scene):
-            scan = scan_of(view, g, belief.pose[view.scene.groups[g].slots])
+            scan = scan_of(view, g, get_rows(belief.pose, view.scene.groups[g].slots))
             free, _ = jax.vmap(partial(classify_scan, grid, scan.settings))(scan.poses, scan.ranges)
             ahead = jax.vmap(partial(in_view, grid))(scan.poses)
-            found = found.at[scan.slots].set(free & ahead & scan.fresh[:, None, None])
+            found = set_rows(found, (scan.slots, free & ahead & scan.fresh[:, None, None]))
         return found
 
     def pending(self, view: TaskView, memory: TeamMemory) -> jax.Array:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.backend import Array, Part, set_rows
+from usarmjx.base.backend import Array, Part, get_rows, set_rows
 from usarmjx.base.rotations import wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE
 from usarmjx.base.transforms import flip_angles, flip_vector
@@ -383,7 +383,7 @@ class TeamTask(Task):
 
     def per_group(self, scene: Scene, values: jax.Array) -> tuple[jax.Array, ...]:
         """Return values of all slots (robots, ...) per group."""
-        return tuple(values[scene.groups[group].slots] for group in self.agent_groups(scene))
+        return tuple(get_rows(values, scene.groups[group].slots) for group in self.agent_groups(scene))
 
     # Beliefs of the robots.
 
@@ -415,7 +415,10 @@ class TeamTask(Task):
             belief = update_from_mail(grid, belief, view.mail, self.mail_period(view.scene))
         for g, group in enumerate(view.scene.groups):
             if has_scanner(group):
-                scan, recent = scan_of(view, g, belief.pose[group.slots]), self.recent_age(view.scene)
+                scan, recent = (
+                    scan_of(view, g, get_rows(belief.pose, group.slots)),
+                    self.recent_age(view.scene),
+                )
                 belief = update_from_scan(grid, belief, scan, view.time, recent)
         belief = self.update_task_belief(view, belief)
         return self.plan(view, belief)

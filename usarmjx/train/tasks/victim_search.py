@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.backend import get_rows, set_rows
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.links import reachable
@@ -88,9 +89,10 @@ def mark_victims(view: TaskView, grid: MapGrid, belief: Belief) -> Belief:
     for g, group in enumerate(view.scene.groups):
         if group.robot.name == BASE_STATION:
             continue
-        marked = jax.vmap(partial(mark_squares, grid))(belief.pose[group.slots], detected_positions(view, g))
+        pose, marks = (get_rows(rows, group.slots) for rows in (belief.pose, belief.marks))
+        marked = jax.vmap(partial(mark_squares, grid))(pose, detected_positions(view, g))
         marked &= view.is_fresh(g, "VictSensor")[:, None, None]
-        belief = belief.replace(marks=belief.marks.at[group.slots].max(marked))
+        belief = belief.replace(marks=set_rows(belief.marks, (group.slots, marks | marked)))
     return belief
 
 
