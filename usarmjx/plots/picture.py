@@ -276,5 +276,6 @@ def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
     if len(truth):
         axes.plot(*truth[0, :2], "o", color="white", mec=TRUTH, mew=1.5, ms=6, label="start", zorder=6)
         cos, sin = math.cos(truth[-1, 2]), math.sin(truth[-1, 2])
+        # Markers do not turn with the data, so their corners are turned.
         arrow = ARROW @ np.array([[cos, sin], [-sin, cos]])
         axes.plot(*truth[-1, :2], marker=arrow, color=TRUTH, ms=10, ls="", label="end", zorder=6)

@@ -188,9 +188,11 @@ def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
     for robot in range(len(shown.names)):
         colour, way = PALETTE[robot % len(PALETTE)], shown.poses[: frame + 1, robot]
         drawn += axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.4, zorder=8)
+        # A robot that is not in use has NaN, and no marker.
         if not np.isfinite(way[-1]).all():
             continue
         cos, sin = np.cos(way[-1, 2]), np.sin(way[-1, 2])
+        # Markers do not turn with the data, so their corners are turned.
         marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
         drawn += axes.plot(*way[-1, :2], marker=marker, color=colour, ms=11, mec="white", mew=0.5, zorder=9)
     return drawn

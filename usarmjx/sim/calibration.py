@@ -152,6 +152,7 @@ def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> D
     twist: list[np.ndarray] = []
     pose: list[np.ndarray] = []
     for number in range(len(commands)):
+        # A command stays in force: to give it again in each step would only take time.
         if not number or (commands[number] != commands[number - 1]).any():
             values = {key: commands[number, :, None, i] for i, key in enumerate(drive.keys)}
             state = batch.drive(state, 0, values)
@@ -195,6 +196,7 @@ def spin_gains(robot: RobotSpec) -> tuple[float, float] | None:
     command = np.array([-drive.max_spin, drive.max_spin], np.float32)
     log = record_drive(robot, np.tile(command, (steps, 1, 1)))
     commanded = wheel_kinematics(robot).twist(jnp.asarray(log.joints[-1]), jnp.asarray(log.wheel_speeds[-1]))
+    # By the second half, as at first it gets up to speed.
     gain = float(log.twist[steps // 2 :, 0, 2].mean() / commanded[0, 2])
     return gain * (1.0 - SPIN_TOLERANCE), gain * (1.0 + SPIN_TOLERANCE)
 
@@ -256,9 +258,9 @@ def _fit(
         residuals_at,
         first,
         jacobian_at,
-        # Beyond f_scale, 0.1 m/s, weighted errors count less than by their squares.
         bounds=(low, high),
         loss="soft_l1",
+        # Beyond 0.1 m/s weighted errors count less than by their squares.
         f_scale=0.1,
         # Steps in units of the first guess: time constants and gains differ by a factor of a hundred.
         x_scale=np.maximum(np.abs(first), 0.05),

@@ -70,6 +70,7 @@ class Suction:
             effecter: The vacuum.
             caster: Casts rays in the present state.
         """
+        # One that has closed on nothing may close again.
         if self._closed.get(place) is not None:
             return
         model, data = self._engine.model, self._engine.data
@@ -80,6 +81,7 @@ class Suction:
             self._closed[place] = None
             return
         one, other = model.body(base).name, model.body(thing).name
+        # In the part's axes, as `_is_lost` compares it.
         pos = data.xmat[base].reshape(3, 3).T @ (data.xpos[thing] - data.xpos[base])
         hold = Hold("vacuum {}/{}".format(*place), one, other, pos, reach)
         self._engine.weld(hold.name, one, other)

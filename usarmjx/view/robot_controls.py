@@ -501,6 +501,7 @@ class RobotControls:
                         continue
                     value = None
                     if opcode.takes_value:
+                        # A parameter that clients have to give has no default.
                         first = opcode.max_val if opcode.default_val is None else opcode.default_val
                         step = (opcode.max_val - opcode.min_val) / 100
                         value = gui.add_slider(opcode.name, opcode.min_val, opcode.max_val, step, first)

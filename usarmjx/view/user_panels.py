@@ -107,6 +107,7 @@ class RobotPlots:
     def __init__(self, gui: viser.GuiApi, robot: DrawnRobot, frame: RobotFrame) -> None:
         self._plots: dict[int, SensorPlot] = {}
         for index, (sensor, reading) in enumerate(zip(robot.sensors, frame.readings, strict=False)):
+            # The number of lines is fixed: a sensor that has not measured yet gets no plot.
             size = int(np.size(reading))
             if size and len(self._plots) < MAX_PLOTS:
                 title = sensor.kind if len(sensor.names) != 1 else f"{sensor.kind} {sensor.names[0]}"
@@ -266,6 +267,7 @@ def banner_html(status: WorldStatus, lock: ControlLock) -> str:
     if status.bad_worlds:
         lines.append(f"physics went bad: world reset {status.bad_worlds} times")
     if status.put_back:
+        # Escaped: clients name their robots.
         names = ", ".join(status.put_back_names)
         lines.append(f"{status.put_back} put back, last {html.escape(names)}")
     return f'<div style="font-size:.85em;margin:0 1em .5em">{"<br>".join(lines)}</div>'

@@ -338,6 +338,7 @@ class Viewer:
             half = math.tan(float(frame.robots[self.robot].fovs[self.camera]) / 2)
             self._set_fov(2 * math.atan(half / self.client.camera.aspect))
         else:
+            # Another drawing has other walls.
             if self._chase is None or self._chase.drawing is not drawing:
                 self._chase = Chase(drawing)
             self._move(self._chase.pose(robot, frame), offset)

@@ -186,6 +186,7 @@ def _shade(
     caster = RasterCaster(table, solid, pane, shadows, materials)
     start = jnp.broadcast_to(lens.eye, ray.shape)
     seen = shade(scene, start, ray / length, jnp.asarray(EXCLUDE_NONE), caster)
+    # As `mounts.quantize`: `round` would round halves to even.
     return jnp.floor(255 * seen.rgb + 0.5).astype(jnp.uint8)
 
 

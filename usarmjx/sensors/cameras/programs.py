@@ -53,6 +53,7 @@ def pad_render_scene(render_scene: RenderScene, capacities: Capacities | None = 
         pad = partial(
             _padded, size=_size(capacities, sort, count, SPARE_COMPACT_GEOMS if is_compact else SPARE_GEOMS)
         )
+        # Appearances are in one table, block after block.
         mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], render_scene.appearance)
         padded = jax.tree.map(pad, block)
         # Zeros would be a degenerate geom in the middle of the arena.

@@ -453,6 +453,7 @@ def shade_on_warp(
         *(jnp.asarray(x, jnp.float32) for x in (origin, direction)),
     ]
     scene = packed_scene(solids, panes, render_scene.appearance)
+    # Without mirrors and panes the second kernel is not launched.
     clear = not {MIRROR, GLASS} & set(render_scene.geoms.materials)
     found = merge_vmaps(partial(_launch, numbers, clear))(
         scene[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts)

@@ -144,6 +144,7 @@ def cosines_of_hits(
         count,
         *([len(rays.pos)] if of_fans else []),
     ]
+    # Hits have the indices of all geoms, and kernels places among those that block rays.
     slots = _slots_of(work)
 
     def run(geoms: tuple[Array, Array], world: tuple[Array, Array], *casts: Array) -> Array:
