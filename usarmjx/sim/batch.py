@@ -556,7 +556,7 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
         joints = list(index.qposadr)
         with numpy_backend():
             varied = jax.tree.map(lambda x: np.asarray(x)[world], state.worlds.varied)
-            # Where wheels vary between worlds, its joints stand as this world's do.
+            # If wheels vary between worlds, its joints stand as this world's do.
             own = stances_in(scene.vary, varied, scene.groups[group].robot, [slot])
         pinned[world, joints] = True
         qpos[world, joints] = scene.parked_qpos[joints] if own is None else own.joints[0]
