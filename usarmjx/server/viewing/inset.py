@@ -77,7 +77,9 @@ class CameraInset:
         if wanted == NOTHING:
             self._image.visible, self._caption.content = False, ""
             return
-        thread = self._threads.setdefault(self._page.world, RenderThread(self._world))
+        if self._page.world not in self._threads:
+            self._threads[self._page.world] = RenderThread(self._world)
+        thread = self._threads[self._page.world]
         if now < self._due or not thread.is_ready(now):
             return
         self._due = now + PERIOD
