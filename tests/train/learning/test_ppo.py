@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from brax.training.acme import running_statistics
 from numpy.testing import assert_allclose, assert_array_equal
@@ -13,8 +14,8 @@ from tests.train.toys import DriveToy, small_config
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.networks import init_statistics
-from usarmjx.train.learning.ppo import _adapt, _shuffle, surrogate
-from usarmjx.train.learning.processes import ProcessGroup
+from usarmjx.train.learning.ppo import _adapt, _shuffle, compute_targets, loss, surrogate
+from usarmjx.train.learning.processes import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.learning.train_state import critic_values
 
 CONFIG = small_config(num_worlds=16, rollout_length=8, num_minibatches=2, num_epochs=2)
@@ -69,6 +70,37 @@ def test_the_update_is_finite_and_changes_all_weights(trainer, collected):
     assert known["loss/divergence"] < 0.2
     for before, after in zip(leaves(train_state.params), leaves(new.params), strict=True):
         assert (before != after).any()
+
+
+@pytest.mark.oracle
+def test_weights_and_moments_change_as_optax_changes_trees():
+    """One minibatch of all worlds, from optax's own Adam; sums in another order differ by rounding."""
+    config = small_config(num_worlds=16, rollout_length=8, num_minibatches=1, num_epochs=1)
+    trainer = Trainer(DriveToy(16), config, ProcessGroup())
+    old, worlds = trainer.start()
+    _, steps, ends, sums = trainer.rollout.collect(old, worlds, jax.random.key(3))
+    experience = steps, ends, {name: one[None] for name, one in sums.items()}
+    new, _ = trainer._update(old, experience, trainer._stream)
+    assert jax.tree.structure(new) == jax.tree.structure(old)
+
+    def targets(one):
+        return compute_targets(trainer.networks, old, *one, config)[0]
+
+    of_one_process = jax.tree.map(lambda x: x[None], (steps, ends))
+    batch = jax.tree.map(lambda x: x[0], jax.vmap(targets, axis_name=PROCESS_AXIS)(of_one_process))
+    key = jax.random.fold_in(jax.random.wrap_key_data(trainer._stream), old.iteration)
+    key = jax.random.fold_in(jax.random.fold_in(key, 0), config.shuffled_blocks)
+    slope = jax.jit(jax.grad(lambda w: loss(w, trainer.networks, old, batch, key, config), has_aux=True))
+    gradient, totals = slope(old.params)
+    gradient = jax.tree.map(lambda one: one / totals["weight"], gradient)
+    adam = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam(eps=1e-5))
+    change, moments = adam.update(gradient, adam.init(old.params))
+    expected = jax.tree.map(lambda w, step: w - old.learning_rate * step, old.params, change)
+    largest = max(np.abs(one).max() for one in leaves(gradient))
+    for found, wanted in zip(leaves(new.params), leaves(expected), strict=True):
+        assert_allclose(found, wanted, rtol=0, atol=1e-2 * config.learning_rate)
+    for found, wanted in zip(leaves(new.opt_state), leaves(moments), strict=True):
+        assert_allclose(found, wanted, rtol=1e-4, atol=1e-6 * largest)
 
 
 def test_bad_transitions_teach_nothing(trainer, collected):

@@ -18,6 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jax.flatten_util import ravel_pytree
 
 from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.baselines import BASELINES, PLANNERS
@@ -319,8 +320,10 @@ def loss(
             terms["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
             terms["policy"] = jnp.where(imitating, terms["imitation"], terms["policy"])
         valid = steps.valid(g)
-        for name, one in terms.items():
-            sums[name] = sums.get(name, jnp.float32(0)) + jnp.where(valid, one, 0.0).sum()
+        # Stacked: a GPU has one kernel for all sums of a group, else one or two for each.
+        totals = jnp.stack([jnp.where(valid, one, 0.0).ravel() for one in terms.values()]).sum(1)
+        for name, one in zip(terms, totals, strict=True):
+            sums[name] = sums.get(name, jnp.float32(0)) + one
     total = sums["policy"] + config.value_coef * sums["value"] - config.entropy_coef * sums["entropy"]
     return total, sums
 
@@ -383,15 +386,16 @@ def run_epochs(
     """Go through a batch, `epochs` times, and return what is worth knowing of it, means over minibatches."""
     optimiser = make_optimiser(config)
     worlds, blocks = batch.trajectory.done.shape[1], config.shuffled_blocks // processes
-    train_state = begin_update(networks, config, train_state)
+    train_state, as_trees = _as_vectors(begin_update(networks, config, train_state))
 
     def update_once(
         state: TrainState, epoch_key: tuple[jax.Array, jax.Array]
     ) -> tuple[TrainState, dict[str, jax.Array]]:
         index, key = epoch_key
         gradient, sums = jax.grad(loss, has_aux=True)(
-            state.params, networks, state, batch.select_worlds(index), key, config
+            as_trees(state).params, networks, state, batch.select_worlds(index), key, config
         )
+        gradient, _ = _vector(gradient)
         # Sums cross, not means: the processes' numbers of good steps differ.
         gradient, sums = jax.lax.psum((gradient, sums), PROCESS_AXIS)
         # All steps of a minibatch may be bad.
@@ -402,7 +406,7 @@ def run_epochs(
         finite = jnp.isfinite(norm)
         steps, moments = optimiser.update(gradient, state.opt_state)
         # Not by optax: the rate is part of the train state, which `adaptive` changes between minibatches.
-        params = jax.tree.map(lambda old, step: old - state.learning_rate * step, state.params, steps)
+        params = state.params - state.learning_rate * steps
         updated = state.replace(params=params, opt_state=moments)
         # Adam's moments, too: NaN in them would last for ever.
         updated = jax.tree.map(lambda after, before: jnp.where(finite, after, before), updated, state)
@@ -423,7 +427,41 @@ def run_epochs(
         return jax.lax.scan(update_once, state, (index, keys))
 
     train_state, stats = jax.lax.scan(epoch, train_state, jnp.arange(config.num_epochs))
-    return train_state, jax.tree.map(jnp.mean, stats)
+    return as_trees(train_state), jax.tree.map(jnp.mean, stats)
+
+
+def _vector(tree: Any) -> tuple[jax.Array, Callable[..., Any]]:  # noqa: ANN401 - a PyTree
+    """Return the arrays of a PyTree as one vector (n,), and what turns such a vector into the PyTree."""
+    return ravel_pytree(tree)
+
+
+def _as_vectors(state: TrainState) -> tuple[TrainState, Callable[[TrainState], TrainState]]:
+    """Return a train state whose parameters, and each of Adam's moments, are one vector (weights,).
+
+    A GPU changes a vector with a few kernels, and a tree with some for each of its arrays.
+
+    Returns:
+        That state, and what turns it into one with trees.
+    """
+    params, unravel = _vector(state.params)
+
+    def is_tree(part: Any) -> bool:  # noqa: ANN401 - part of optax's state
+        return isinstance(part, ActorCriticParams)
+
+    def ravel(part: Any) -> Any:  # noqa: ANN401 - as above
+        return _vector(part)[0] if is_tree(part) else part
+
+    def as_trees(packed: TrainState) -> TrainState:
+        moments = jax.tree.map(
+            lambda old, new: unravel(new) if is_tree(old) else new,
+            state.opt_state,
+            packed.opt_state,
+            is_leaf=is_tree,
+        )
+        return packed.replace(params=unravel(packed.params), opt_state=moments)
+
+    moments = jax.tree.map(ravel, state.opt_state, is_leaf=is_tree)
+    return state.replace(params=params, opt_state=moments), as_trees
 
 
 def _adapt(rate: jax.Array, divergence: jax.Array, config: Config) -> jax.Array:
