@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 
 from usarmjx.base.backend import Array
+from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.base.rotations import (
     Components,
     MatrixRows,
@@ -37,6 +38,8 @@ HELD_GAP = 1e-4
 """Vertical gap between a resting robot and the top of the other [m]."""
 FLIGHT_STEP = 0.01
 """Longest integration step of flying robots [s]: they rotate too fast for longer ones."""
+GPU_STEPS = 8
+"""Steps of flight in a row on a GPU, where each turn of a loop adds launches of its own."""
 MAX_STACK = 3
 """Largest number of robots resting on each other in a stack."""
 
@@ -63,7 +66,8 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
     steps = max(round(dt / model.opt.timestep), math.ceil(dt / FLIGHT_STEP - 1e-6))
     step = partial(_step, fixed, pull, push[3:], dt / steps)
     now = _BodyMotion(*map(parts, (motion.pos, motion.quat, motion.linear, motion.angular)))
-    flown = jax.lax.fori_loop(0, steps, lambda _, now: step(now), now)
+    unroll = unroll_on_gpu(min(steps, GPU_STEPS))
+    flown = jax.lax.fori_loop(0, steps, lambda _, now: step(now), now, unroll=unroll)
     pos, quat, linear, angular = (jnp.stack(numbers, -1) for numbers in flown)
     return motion.replace(pos=pos, quat=quat, linear=linear, angular=angular)
 
