@@ -6,6 +6,7 @@ import math
 import re
 
 from tests.scripts import load
+from tests.server.lockstep import LOCKSTEP
 from tests.server.peers import PATIENCE, Peer, serving, wait_until
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.compile.physics import Physics
@@ -88,8 +89,8 @@ class Radio:
 
 
 @contextlib.contextmanager
-def on_air(world, radio=SHORT, realtime_factor=5.0, **settings):
-    """A running server with its radio, five times faster than the clock."""
+def on_air(world, radio=SHORT, realtime_factor=LOCKSTEP, **settings):
+    """A running server with its radio."""
     ports = WirelessSettings(wss_port=0, wss2_port=0, position_port=0, **settings)
     service = make_wireless(world, radio, ports)
     with serving(world, [service], realtime_factor=realtime_factor) as (port, _):

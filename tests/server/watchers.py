@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
+from tests.server.lockstep import LOCKSTEP
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import P2AT
@@ -182,8 +183,8 @@ class Show:
 
 
 @contextlib.contextmanager
-def on_show(world, *, realtime_factor=5.0, **settings):
-    """A running server with its pictures, 96 x 72 and raw if nothing else is said; faster than the clock.
+def on_show(world, *, realtime_factor=LOCKSTEP, **settings):
+    """A running server with its pictures, 96 x 72 and raw if nothing else is said.
 
     It waits for them as long as the tests do: no black ones in between.
     """

@@ -18,6 +18,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tests.arenas import COURSE, FLAT
+from tests.server.lockstep import waiting
 from tests.server.peers import PATIENCE, Peer, looping, wait_until
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.robots import ROBOTS
@@ -76,7 +77,9 @@ class Ros:
     def hear(self, op, **fields):
         """The next message of that op."""
         while True:
-            message = json.loads(self.socket.recv(PATIENCE))
+            # Its library reads the socket in a thread of its own.
+            with waiting():
+                message = json.loads(self.socket.recv(PATIENCE))
             if message["op"] == op and all(message.get(key) == value for key, value in fields.items()):
                 return message
 
@@ -97,7 +100,7 @@ def serving_ros(world, **settings):
     """A running server's rosbridge port, and the server."""
     service = RosbridgeServer(world, RosSettings(port=0, size=(32, 24), **settings))
     server = service.server = BotServer(world, BotServerSettings(port=0), [service])
-    with looping([server], 1.0):
+    with looping([server]):
         yield service.port, server
 
 
@@ -142,6 +145,10 @@ def test_every_topic_has_messages_as_they_are_defined(ros):
 
 def test_pictures_come_raw_and_with_what_they_are_of(ros):
     spawn(ros)
+    ros.say("subscribe", topic="/R1/odom")
+    for _ in range(15):
+        ros.hear("publish", topic="/R1/odom")  # it stands on the floor
+    ros.say("unsubscribe", topic="/R1/odom")
     raw = ros.topic("/R1/Camera/image_raw")
     assert (raw["width"], raw["height"], raw["step"], raw["encoding"]) == (32, 24, 96, "rgb8")
     pixels = np.frombuffer(base64.b64decode(raw["data"]), np.uint8).reshape(24, 32, 3)
