@@ -194,25 +194,22 @@ def test_the_checks_are_installed_when_jax_is_imported(tmp_path):
 
 def test_each_flipped_bit_of_a_module_of_warp_removes_it(tmp_path):
     module = tmp_path / "1.0" / "wp_rays_12ab"
-
-    def write():
-        module.mkdir(parents=True, exist_ok=True)
-        (module / "rays.cubin").write_bytes(b"code")
-        (module / "rays.meta").write_bytes(b"{}")
-
-    write()
+    module.mkdir(parents=True)
+    (module / "rays.cubin").write_bytes(b"code")
     assert check_warp_folder(tmp_path) == []  # not yet listed
     seal_warp_folder(tmp_path)
     assert check_warp_folder(tmp_path) == []
-    for name, content in (("rays.cubin", b"code"), (checked_cache.SUMS_FILE, None)):
-        whole = content or (module / name).read_bytes()
-        for changed in [*flips(whole), b""]:
+    sealed = {path.name: path.read_bytes() for path in module.iterdir()}
+    for name in ("rays.cubin", checked_cache.SUMS_FILE):
+        for changed in [*flips(sealed[name]), b""]:
             (module / name).write_bytes(changed)
             with pytest.warns(UserWarning, match="wp_rays_12ab: it is not whole"):
                 assert check_warp_folder(tmp_path) == [module.name]
             assert not module.exists()
-            write()
-            seal_warp_folder(tmp_path)
+            # As it was: each sealing would wait for the disk.
+            module.mkdir()
+            for file, content in sealed.items():
+                (module / file).write_bytes(content)
     (module / "rays.sm90.cubin").write_bytes(b"more")  # of another GPU
     seal_warp_folder(tmp_path)
     (module / "rays.sm90.cubin").write_bytes(b"less")
