@@ -224,9 +224,11 @@ VARIED = {
     ("engine", "names", "vary"),
     [
         ("c", ("P2AT", "P2DX", "Hummer"), "large"),
-        ("planar", ("P2AT", "P2DX", "Hummer"), "small"),
         pytest.param("c", ("P2AT", "P2DX", "Hummer"), "small", marks=pytest.mark.thorough),
-        pytest.param("planar", ("P2AT", "P2DX", "Hummer"), "large", marks=pytest.mark.thorough),
+        *(
+            pytest.param("planar", ("P2AT", "P2DX", "Hummer"), vary, marks=pytest.mark.thorough)
+            for vary in VARIED
+        ),
         *(pytest.param("jax", ("P2DX",), vary, marks=pytest.mark.thorough) for vary in VARIED),
         *(pytest.param("warp", ("P2DX", "Hummer"), vary, marks=pytest.mark.thorough) for vary in VARIED),
     ],

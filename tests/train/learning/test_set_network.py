@@ -207,7 +207,8 @@ def test_networks_that_observations_do_not_fit_are_refused():
 
 
 @pytest.mark.usefixtures("optimised_programs")
-@pytest.mark.parametrize(("kind", "layout"), [("set", PLAIN), ("cnn", PICTURED)])
+@pytest.mark.every_run("cnn")
+@pytest.mark.parametrize(("kind", "layout"), [("set", PLAIN), ("cnn", PICTURED)], ids=["set", "cnn"])
 def test_a_toy_is_learned(kind, layout, tmp_path):
     """At random a robot is right in 1 of 3.5 choices."""
     sizes = {"network": kind, "hidden_sizes": (32, 32), "critic_hidden_sizes": (16, 16)}

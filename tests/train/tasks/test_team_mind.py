@@ -50,6 +50,7 @@ PARTS = {"actions": "goals+message", "byte_rate": 64.0}
 
 
 @pytest.mark.oracle
+@pytest.mark.every_run("maps", "vectors")
 @pytest.mark.parametrize("own", [{}, PARTS, {**PARTS, "message_floats": 8}], ids=["maps", "parts", "vectors"])
 def test_a_team_outside_observes_and_drives_as_the_environment_does(own):
     env = make("explore-v3", engine="planar", arena=SMALL, count=2, episode_steps=60, **own)
