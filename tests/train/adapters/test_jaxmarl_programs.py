@@ -170,7 +170,7 @@ def size(tree):
 
 
 def test_all_worlds_share_one_library_of_arenas():
-    """In `explore-v3` copies of it would be seven times the rest of a world's state; here it has a quarter."""
+    """In `explore-v3` copies of it would be seven times the rest of a world's state; a quarter is here."""
     arena = replace(TASKS.get("explore-v3").arena, count=4)
     env = usarmjx.make("explore-v3", engine="planar", count=2, arena=arena)
     _, state = jax.eval_shape(MultiAgentWorld(env).reset, jax.random.key(0))
