@@ -264,6 +264,13 @@ def compute_targets(
 
 
 @jax.named_scope("ppo.loss")
+def _sums_of(terms: dict[str, jax.Array], valid: jax.Array) -> dict[str, jax.Array]:
+    """Return the sums of terms over valid entries; all are of one shape."""
+    # Stacked: a GPU has one kernel for all sums, else one or two for each.
+    rows = jnp.stack([jnp.where(valid, one, 0.0).ravel() for one in terms.values()])
+    return dict(zip(terms, rows.sum(1), strict=True))
+
+
 def loss(
     weights: ActorCriticParams,
     networks: Networks,
@@ -319,10 +326,7 @@ def loss(
         if steps.teacher_action:
             terms["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
             terms["policy"] = jnp.where(imitating, terms["imitation"], terms["policy"])
-        valid = steps.valid(g)
-        # Stacked: a GPU has one kernel for all sums of a group, else one or two for each.
-        totals = jnp.stack([jnp.where(valid, one, 0.0).ravel() for one in terms.values()]).sum(1)
-        for name, one in zip(terms, totals, strict=True):
+        for name, one in _sums_of(terms, steps.valid(g)).items():
             sums[name] = sums.get(name, jnp.float32(0)) + one
     total = sums["policy"] + config.value_coef * sums["value"] - config.entropy_coef * sums["entropy"]
     return total, sums
