@@ -144,7 +144,8 @@ def test_more_threads_than_can_be_numbered_are_refused():
 def test_the_lanes_of_a_gpu_see_together_what_one_does(lit_by, monkeypatch):
     """Bundles of 32 rays with one cone for all, votes and keys exchanged: the code of a GPU on threads."""
     stage, slot = room(*LIGHTS[lit_by]), jnp.int32(0)
-    start, along = (x[29 * SIDE : 29 * SIDE + 40 * 32] for x in view())  # tiles about the middle
+    # Every other row about the middle: each is two bundles.
+    start, along = (x.reshape(SIDE, SIDE, 3)[29:49:2].reshape(-1, 3) for x in view())
     expected = jax.jit(shade)(stage, start, along, slot)
     ran = []
 
