@@ -36,7 +36,8 @@ def moved(scene):
 
     def run(engine):
         if engine not in done:
-            batch = Batch(scene, 2, engine=engine)
+            # On a CPU kernels of Warp take as long for two worlds as for one after the other.
+            batch = Batch(scene, 1 if engine == "warp" else 2, engine=engine)
             start = state = batch.reset()
             for t, group in enumerate(scene.groups):
                 state = batch.drive(state, t, ORDERS[group.robot.name])
@@ -72,4 +73,4 @@ def test_all_of_a_mixed_team_move_as_they_are_told(moved, engine):
 def test_a_mixed_team_moves_as_on_c_mujoco(moved, engine):
     theirs, ours = moved("c"), moved(engine)
     for name in theirs:
-        np.testing.assert_allclose(ours[name], theirs[name], atol=PARITY, err_msg=name)
+        np.testing.assert_allclose(ours[name], theirs[name][: len(ours[name])], atol=PARITY, err_msg=name)
