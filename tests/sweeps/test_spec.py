@@ -121,13 +121,15 @@ def test_rosters_become_the_teams_of_tasks():
 @pytest.mark.parametrize("policy", ["oracle", {"baseline": "oracle"}])
 def test_an_oracle_knows_the_building_and_hears_all_whatever_the_radio_of_its_cell(policy):
     said = {"radio.cutoff": -43.0, "vary.radio_n": [1.5, 2.5], "roster": {"P2AT": 2}, "episodes": 1}
+    said |= {"fields.byte_rate": 64, "fields.talk": "base"}
     found, other = (
         resolve(read_spec({"common": {"task": "explore-v3", "policy": one, **said}}).cells[0])
         for one in (policy, "frontier")
     )
     assert (found.task.oracle, found.task.radio, found.ranges) == (True, PERFECT_RADIO, {})
     assert (found.task.count, found.labels) == (2, other.labels)
-    assert not other.task.oracle
+    assert (found.task.byte_rate, found.task.talk) == (None, "all")
+    assert (other.task.oracle, other.task.byte_rate, other.task.talk) == (False, 64, "base")
     assert other.ranges == {"radio_cutoff": (-43.0, -43.0), "radio_n": (1.5, 2.5)}
     with pytest.raises(UsageError, match="only tasks whose robots choose goals have an oracle"):
         resolve(cells(common={"task": "explore-v2", "policy": policy})[0])

@@ -83,6 +83,10 @@ def test_teams_are_the_task_with_a_robot_or_a_radio_of_another_kind():
     assert [spec.name for spec in alone(explore).robots] == ["P2AT"]
     assert alone(explore).arena == explore.arena
     assert with_perfect_radio(search).radio == PERFECT_RADIO
+    limited = make_task("relay-chain-v3", byte_rate=64.0, talk="none", actions="goals+message")
+    change, _ = find_team("oracle")
+    known = replace(limited, oracle=True, radio=PERFECT_RADIO, byte_rate=None, talk="all")
+    assert change(limited) == known
 
 
 def test_teams_without_a_policy_of_ones_own_are_those_that_can_play():

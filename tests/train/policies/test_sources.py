@@ -147,8 +147,10 @@ def test_an_oracle_plays_the_task_in_which_it_knows_all(monkeypatch):
 
     monkeypatch.setattr(sources, "make", made)
     monkeypatch.setattr(sources, "building_label", lambda arena: "")
-    env, _, notes = baseline("oracle", "explore-v3").env(["count=2"])
+    limits = ["byte_rate=64", "talk=none"]
+    env, _, notes = baseline("oracle", "explore-v3").env(["count=2", *limits])
     assert (env.task.oracle, env.task.radio, env.task.count, notes) == (True, PERFECT_RADIO, 2, [])
+    assert (env.task.byte_rate, env.task.talk) == (None, "all")
     env, _, _ = baseline("courier", "explore-v3").env()
     assert not env.task.oracle
     with pytest.raises(UsageError, match="only tasks whose robots choose goals have an oracle"):

@@ -132,12 +132,12 @@ def silent_policy(env: Env) -> Policy:
 
 ORACLE = "oracle"
 """Name of the planner whose robots know the building and hear all."""
-KNOWING: Mapping[str, Any] = {"oracle": True, "radio": PERFECT_RADIO}
-"""Fields of the task under which an oracle plays."""
+KNOWING: Mapping[str, Any] = {"oracle": True, "radio": PERFECT_RADIO, "byte_rate": None, "talk": "all"}
+"""Fields of the task under which an oracle plays: no limit of its radio counts for it."""
 
 
 def knowing(task: Task) -> GoalTeam:
-    """Return a task in which robots know the building and hear everyone.
+    """Return a task in which robots know the building and hear everyone, however many bytes that takes.
 
     Raises:
         UsageError: A task whose robots cannot.
