@@ -34,10 +34,16 @@ from usarmjx.train.tasks.explore import Explore
 from usarmjx.train.tasks.goal_features import (
     GOALS,
     OBSERVATION_SIZE,
+    OBSERVED_MATES,
     OWN_NUMBERS,
     GoalView,
+    first_mates,
     goal_features,
     mate_features,
+    nearest_mates,
+)
+from usarmjx.train.tasks.goal_features import (
+    MATES as GOAL_MATES,
 )
 from usarmjx.train.tasks.reporting_team import ExploreBase
 from usarmjx.train.tasks.team import PERFECT_RADIO
@@ -86,21 +92,22 @@ def observed_goals(untold, heard):
     """Return the robots' observations if they have heard of these others (robots, robots)."""
     belief = initial_belief(GRID, POSES)
     belief = belief.replace(heard_time=jnp.where(heard, 0.0, -jnp.inf))
-    mates = heard[:, [2, 3]] & ~jnp.eye(4, dtype=bool)[:, [2, 3]]
+    mates = nearest_mates(belief, 0, 1.0, OBSERVED_MATES)
+    others = heard[:, [2, 3]] & ~jnp.eye(4, dtype=bool)[:, [2, 3]]
     goals = Goals(
         position=jnp.stack(
             [jnp.full((4, GOALS), 2.0), jnp.broadcast_to(jnp.arange(GOALS) / 3, (4, GOALS))], -1
         ),
         length=jnp.full((4, GOALS), 9.0),
         gain=jnp.full((4, GOALS), 0.5),
-        valid=jnp.ones((4, GOALS), bool).at[:, 1:3].set(mates).at[:, 12:].set(False),
+        valid=jnp.ones((4, GOALS), bool).at[:, 1:3].set(others).at[:, 12:].set(False),
     )
-    judged = GoalView(base=0, time=1.0, seconds=80.0, untold=untold)
+    judged = GoalView(base=0, time=1.0, seconds=80.0, untold=untold, mates=first_mates(mates, GOAL_MATES))
     chosen = jnp.full(4, 4, jnp.int32)
     own = jnp.full((4, OWN_NUMBERS), 0.7).at[:, 5].set(untold[:, 0] / 1000.0)
     own = own.at[:, 7].set((heard & ~jnp.eye(4, dtype=bool))[:, 1:].sum(-1) / 16)
     rows = [own, jnp.full((4, SECTOR_COUNT), 0.3)]
-    rows += [mate_features(belief, 0, 1.0, jnp.zeros((4, 4), bool), untold)]
+    rows += [mate_features(belief, mates, jnp.zeros((4, 4), bool), judged)]
     rows += [goal_features(GRID, belief, goals, chosen, judged), goals.valid.astype(jnp.float32)]
     seen = jnp.concatenate(rows, -1)[1:]
     assert seen.shape == (3, OBSERVATION_SIZE)

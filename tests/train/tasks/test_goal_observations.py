@@ -19,12 +19,15 @@ from usarmjx.train.tasks.goal_features import (
     GOALS,
     LEVELS,
     MATE_NUMBERS,
+    MATES,
     OBSERVATION_SIZE,
     OBSERVED_MATES,
     WIDTH,
     GoalView,
+    first_mates,
     goal_features,
     mate_features,
+    nearest_mates,
 )
 from usarmjx.train.tasks.reporting_team import ExploreBase
 
@@ -71,7 +74,8 @@ def test_goals_say_what_is_news_there_and_how_much_time_is_left_after_them():
         valid=jnp.zeros((3, GOALS), bool).at[:, jnp.array([0, 1, 4])].set(True),
     )
     untold = jnp.array([[0.0, 0.0, 0.0], [500.0, 0.0, 200.0], [0.0, 0.0, 0.0]])
-    judged = GoalView(base=0, time=0.0, seconds=80.0, untold=untold)
+    mates = nearest_mates(belief, 0, 0.0, MATES)
+    judged = GoalView(base=0, time=0.0, seconds=80.0, untold=untold, mates=mates)
     found = np.asarray(goal_features(GRID, belief, goals, jnp.zeros(3, jnp.int32), judged))
     first = found.reshape(3, GOALS, GOAL_NUMBERS)[1]
     # Base, the other robot, a frontier: news in thousands.
@@ -87,12 +91,14 @@ def test_others_say_whether_they_go_home_and_what_they_have_not_heard():
     heads = belief.mate_headers.at[1, 2, 3:5].set(jnp.array([0.9, 0.0]))  # 0.9 m from the base
     untold = jnp.zeros((3, 3)).at[1, 2].set(300.0)
     no_links = jnp.zeros((3, 3), bool)
-    seen = np.asarray(mate_features(belief.replace(mate_headers=heads), 0, 1.0, no_links, untold))
+    mates = nearest_mates(belief, 0, 1.0, OBSERVED_MATES)
+    judged = GoalView(base=0, time=1.0, seconds=80.0, untold=untold, mates=first_mates(mates, MATES))
+    seen = np.asarray(mate_features(belief.replace(mate_headers=heads), mates, no_links, judged))
     row = seen.reshape(3, OBSERVED_MATES, MATE_NUMBERS)[1, 0]
     assert row[0] == 1.0
     assert row[1:3].tolist() == pytest.approx([3.0 / 12.0, 0.0])
     assert row[8:].tolist() == pytest.approx([1.0, 0.3])
-    away = np.asarray(mate_features(belief, 0, 1.0, no_links, untold))
+    away = np.asarray(mate_features(belief, mates, no_links, judged))
     assert away.reshape(3, OBSERVED_MATES, MATE_NUMBERS)[1, 0, 8] == 0.0
 
 

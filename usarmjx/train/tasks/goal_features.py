@@ -74,14 +74,14 @@ class GoalView(NamedTuple):
         time: The time [s] ().
         seconds: Time that is left [s] ().
         untold: News on each robot's map that each other one may not have [squares] (robots, robots).
-        mates: Other robots among the goals.
+        mates: The others that are goals (robots, n).
     """
 
     base: int
     time: Array
     seconds: Array
     untold: jax.Array
-    mates: int = MATES
+    mates: Mates
 
 
 def heard_of(belief: Belief, base: int, time: Array) -> jax.Array:
@@ -89,6 +89,11 @@ def heard_of(belief: Belief, base: int, time: Array) -> jax.Array:
     robots = len(belief.pose)
     there = ~np.eye(robots, dtype=bool) & (np.arange(robots) != base)
     return (time - belief.heard_time < MATE_AGE) & there
+
+
+def first_mates(mates: Mates, count: int) -> Mates:
+    """Return the nearest ones of some others."""
+    return Mates(mates.slot[:, :count], mates.valid[:, :count])
 
 
 def nearest_mates(belief: Belief, base: int, time: Array, count: int) -> Mates:
@@ -110,24 +115,23 @@ def sector_features(belief: Belief) -> jax.Array:
     return jnp.minimum(belief.sector_ranges / SCANNER_RANGE, 1.0)
 
 
-def mate_features(belief: Belief, base: int, time: Array, linked: jax.Array, untold: jax.Array) -> jax.Array:
-    """Return what robots observe of others (robots, OBSERVED_MATES * MATE_NUMBERS).
+def mate_features(belief: Belief, mates: Mates, linked: jax.Array, judged: GoalView) -> jax.Array:
+    """Return what robots observe of others (robots, mates * MATE_NUMBERS).
 
     Args:
         belief: Their beliefs.
-        base: Slot of the base.
-        time: The time [s] ().
+        mates: The others that they observe (robots, mates).
         linked: Which links there are (robots, robots).
-        untold: See `GoalView`.
+        judged: Further inputs.
     """
-    robots, mates = len(belief.pose), nearest_mates(belief, base, time, OBSERVED_MATES)
+    robots, time, untold = len(belief.pose), judged.time, judged.untold
     rows = np.arange(robots)[:, None]
     heads = belief.mate_headers[rows, mates.slot]
     age = (time - belief.heard_time[rows, mates.slot]) / MATE_AGE
     contact = jnp.minimum((time - heads[..., 5]) / CONTACT_SCALE, 1.0)
-    home = jnp.linalg.norm(heads[..., 3:5] - belief.pose[base, :2], axis=-1) < HOME_RADIUS
+    home = jnp.linalg.norm(heads[..., 3:5] - belief.pose[judged.base, :2], axis=-1) < HOME_RADIUS
     facts = [
-        jnp.ones((robots, OBSERVED_MATES, 1)),
+        jnp.ones((*mates.slot.shape, 1)),
         to_robot_frame(belief.pose[:, None], heads[..., :2]) / NEAR_SCALE,
         to_robot_frame(belief.pose[:, None], heads[..., 3:5]) / NEAR_SCALE,
         jnp.stack([age, linked[rows, mates.slot], contact, home, untold[rows, mates.slot] / NEWS_SCALE], -1),
@@ -164,10 +168,10 @@ def goal_features(grid: MapGrid, belief: Belief, goals: Goals, chosen: Array, ju
     from_base = jnp.linalg.norm(goals.position - belief.pose[base, :2], axis=-1)
     # Ways without an end are cut: an infinite number would spoil the normalisation.
     to_go = (grid.cell * jnp.minimum(goals.length, LONGEST_SEEN * LENGTH_SCALE) + from_base) / HOME_SPEED
-    mates = nearest_mates(belief, base, judged.time, judged.mates)
-    for_mates = judged.untold[np.arange(robots)[:, None], mates.slot]
+    near = judged.mates.slot
+    for_mates = judged.untold[np.arange(robots)[:, None], near]
     news = jnp.concatenate(
-        [judged.untold[:, base, None], for_mates, jnp.zeros((robots, GOALS - 1 - judged.mates))], -1
+        [judged.untold[:, base, None], for_mates, jnp.zeros((robots, GOALS - 1 - near.shape[-1]))], -1
     )
     facts = [
         there / NEAR_SCALE,

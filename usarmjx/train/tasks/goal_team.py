@@ -56,6 +56,7 @@ from usarmjx.train.tasks.goal_features import (
     GoalView,
     Mates,
     chosen_goal,
+    first_mates,
     goal_features,
     heard_of,
     map_pyramid,
@@ -320,7 +321,7 @@ class GoalTeam(TeamTask):
         )
 
     def targets(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """Return the squares that are worth the way to one who knows all (i, j): by default all of them."""
+        """Return the squares worth the way to one who knows all ([robots,] i, j): by default all of them."""
         del view
         return memory.reachable
 
@@ -402,7 +403,8 @@ class GoalTeam(TeamTask):
     def post(self, view: TaskView, memory: TeamMemory, actions: tuple[jax.Array, ...]) -> TeamMemory:
         """Take the robots' choices of messages when these are due, and fill them."""
         state, scene = self.message_state(memory), view.scene
-        offered, _ = self.message_choices(view, memory)
+        mates = nearest_mates(memory.belief, station_slot(scene), view.time, MATES)
+        offered = self.message_choices(view, memory, mates)
         chosen = messages.given_option(offered.valid, base_first=self.sends_to_base_first)
         numbers = jnp.zeros((scene.num_robots, self.message_floats)) if self.message_floats else None
         if self.chooses_messages:
@@ -433,13 +435,12 @@ class GoalTeam(TeamTask):
         """Return whether this step's action is that of messages ()."""
         return memory.step % self.hold == self.hold // 2
 
-    def message_choices(self, view: TaskView, memory: TeamMemory) -> tuple[messages.Choices, Mates]:
-        """Return the options of the robots' messages, and the nearest others."""
+    def message_choices(self, view: TaskView, memory: TeamMemory, mates: Mates) -> messages.Choices:
+        """Return the options of the robots' messages, of which some are to the nearest others."""
         scene, base = view.scene, station_slot(view.scene)
-        mates = nearest_mates(memory.belief, base, view.time, MATES)
         allowed = _linked(view) & self.recipients(scene)
         budget = np.inf if self.byte_rate is None else self.byte_rate * self.message_interval(scene)
-        return messages.choices(self.message_state(memory), allowed, base, mates, budget), mates
+        return messages.choices(self.message_state(memory), allowed, base, mates, budget)
 
     def outgoing(self, view: TaskView, memory: TeamMemory) -> OutgoingMessages:
         """As `TeamTask`, or the messages that were posted in this step."""
@@ -666,27 +667,22 @@ class GoalTeam(TeamTask):
             free / KNOWN_SCALE,
             heard_of(belief, base, view.time).sum(-1) / TEAM_SCALE,
         ]
-        grid = self.arena_grid(scene)
         untold = jnp.maximum(news[:, None] - extra.shared, 0.0)
         # The base learns by any path, so all reports count, not those of this robot alone.
         untold = untold.at[:, base].set(jnp.maximum(news - extra.reported, 0.0))
+        mates = nearest_mates(belief, base, view.time, OBSERVED_MATES)
+        judged = GoalView(base, view.time, seconds, untold, first_mates(mates, self.mate_goals))
         rows = [
             jnp.stack([jnp.asarray(one, jnp.float32) for one in own], -1),
             sector_features(belief),
-            self._others(view, memory, mate_features(belief, base, view.time, linked, untold)),
-            goal_features(
-                grid,
-                belief,
-                extra.goals,
-                extra.chosen,
-                GoalView(base, view.time, seconds, untold, self.mate_goals),
-            ),
+            self._others(view, memory, mates, mate_features(belief, mates, linked, judged)),
+            goal_features(self.arena_grid(scene), belief, extra.goals, extra.chosen, judged),
         ]
         picture, mask = [extra.picture.reshape(robots, -1)] if self.pictures else [], [extra.goals.valid]
         if self.chooses_messages:
-            offered, mates = self.message_choices(view, memory)
-            state = self.message_state(memory)
-            rows.append(messages.option_features(state, offered, belief, linked, base, mates))
+            near = first_mates(mates, MATES)
+            offered, state = self.message_choices(view, memory, near), self.message_state(memory)
+            rows.append(messages.option_features(state, offered, belief, linked, base, near))
             # Of the choice that comes next: messages up to half way, then goals.
             since = memory.step % self.hold
             sends = (since > 0) & (since <= self.hold // 2)
@@ -695,14 +691,13 @@ class GoalTeam(TeamTask):
         way = [] if self.discrete else [self.controller_input(memory.replace(belief=self.followed(memory)))]
         return jnp.concatenate([*way, *rows], -1).astype(jnp.float32)
 
-    def _others(self, view: TaskView, memory: TeamMemory, mates: jax.Array) -> jax.Array:
+    def _others(self, view: TaskView, memory: TeamMemory, mates: Mates, features: jax.Array) -> jax.Array:
         """Return what robots observe of others (robots, n): `mate_features`, and vectors if there are any."""
         if not self.message_floats:
-            return mates
+            return features
         vectors = self.message_state(memory).vectors
         assert isinstance(vectors, VectorState)
-        seen = nearest_mates(memory.belief, station_slot(view.scene), view.time, OBSERVED_MATES)
-        return beside_mates(mates, vector_features(vectors, seen, view.time))
+        return beside_mates(features, vector_features(vectors, mates, view.time))
 
     def signals(self, view: TaskView) -> jax.Array:
         """Return what robots observe of links (robots, robots): by default whether there are any."""
