@@ -166,6 +166,25 @@ def test_messages_are_drawn_from_senders_to_receivers_by_kind(hold, monkeypatch)
     assert texts == ["2 plan", "1 map"]
 
 
+@pytest.mark.parametrize(("talk", "kept"), [("all", [(0, 2), (1, 2), (0, 2)]), ("base", [(0, 2), (0, 2)])])
+def test_links_over_which_whole_maps_go_are_drawn_when_they_begin(talk, kept, monkeypatch):
+    """Robot 2 is linked to the base from the first step on, to robot 1 in the second; both links break."""
+    task = ExploreBase(count=2, talk=talk)
+    places = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 3.0, 0.0]])
+    monkeypatch.setattr("usarmjx.plots.play.positions_of", lambda env, state: (places, None))
+    batch = SimpleNamespace(arena_of=lambda state, world: FLAT)
+    env = SimpleNamespace(batch=batch, period=0.2, task=task, scene=task.scene())
+    seen = TeamWays()
+    for pairs in ([(0, 2)], [(0, 2), (1, 2)], [], [(0, 2)]):
+        table = np.zeros((1, 3, 3), bool)
+        for one, other in pairs:
+            table[0, one, other] = table[0, other, one] = True
+        worlds = SimpleNamespace(links=SimpleNamespace(in_range=table))
+        seen("a", env, SimpleNamespace(batch=SimpleNamespace(worlds=worlds), memory=None))
+    found = [(one.kind, one.ends.tolist()) for one in seen.sent["a"]]
+    assert found == [("link", [places[one, :2].tolist(), places[other, :2].tolist()]) for one, other in kept]
+
+
 def test_letters_with_a_vector_are_drawn_as_such():
     task = ExploreBase(count=2, actions="goals+message", message_floats=2)
     state = no_messages(3, 5, task.message_floats).replace(

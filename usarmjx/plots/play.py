@@ -25,6 +25,7 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
 from usarmjx.plots.style import PAGE, PALETTE, PANEL_HEIGHT, figure_style, save_figure
+from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.presence import carry_of_alive
@@ -349,8 +350,8 @@ class Clips:
         return float(np.asarray(state.score)[world]), *positions_of(self._env, state, world)
 
 
-SENT_KINDS = (*messages.KINDS, "vector")
-"""Kinds of messages, by the numbers of `messages.of_options`."""
+SENT_KINDS = (*messages.KINDS, "vector", "link")
+"""Kinds of messages, by the numbers of `messages.of_options`; and links that begin, for whole maps."""
 
 
 class SentMessage(NamedTuple):
@@ -376,6 +377,25 @@ def just_sent(task: GoalTeam, memory: TeamMemory, places: np.ndarray) -> Iterato
         yield SentMessage(SENT_KINDS[int(kinds[sender])], places[[sender, receiver], :2])
 
 
+def begun_links(
+    task: GoalTeam, scene: Scene, linked: np.ndarray, before: np.ndarray, places: np.ndarray
+) -> Iterator[SentMessage]:
+    """Yield the links of a world that have just begun, between robots at places (robots, 3).
+
+    Args:
+        task: The task.
+        scene: Its scene.
+        linked: Links now (robots, robots).
+        before: Those of the last step.
+        places: Where robots are: x, y [m] and yaw [rad].
+    """
+    allowed = task.recipients(scene)
+    # A link goes both ways: a line for each pair.
+    new = np.triu((linked & ~before) & (allowed | allowed.T))
+    for pair in np.argwhere(new):
+        yield SentMessage("link", places[pair, :2])
+
+
 class TeamWays:
     """Tracks of each team's robots in world 0: a `watch` of `measure_teams`.
 
@@ -383,7 +403,8 @@ class TeamWays:
         arena: Arena of world 0.
         ways: By team: x, y [m] and yaw [rad] of its robots at the begin of each step, [(robots, 3), ...].
         period: Length of a step [s].
-        sent: By team: messages that its robots chose, or the fixed protocol; none of whole maps.
+        sent: By team: messages that its robots chose, or the fixed protocol; of whole maps, which are sent
+            over each link in each step, the links that began.
     """
 
     def __init__(self) -> None:
@@ -391,6 +412,7 @@ class TeamWays:
         self.ways: dict[str, list[np.ndarray]] = {}
         self.sent: dict[str, list[SentMessage]] = {}
         self.period = 0.0
+        self._linked: dict[str, np.ndarray] = {}
 
     def __call__(self, name: str, env: Env, state: EnvState) -> None:
         """Take down where they are, and what they have just sent."""
@@ -398,9 +420,19 @@ class TeamWays:
             self.arena, self.period = env.batch.arena_of(state.batch, WORLD), env.period
         places = positions_of(env, state)[0]
         self.ways.setdefault(name, []).append(places)
-        if isinstance(env.task, GoalTeam) and env.task.parts:
-            memory = jax.tree.map(lambda x: x[WORLD], state.memory)
-            self.sent.setdefault(name, []).extend(just_sent(env.task, memory, places))
+        if isinstance(env.task, GoalTeam):
+            self.sent.setdefault(name, []).extend(self._sent_now(name, env, env.task, state, places))
+
+    def _sent_now(
+        self, name: str, env: Env, task: GoalTeam, state: EnvState, places: np.ndarray
+    ) -> Iterator[SentMessage]:
+        if task.parts:
+            return just_sent(task, jax.tree.map(lambda x: x[WORLD], state.memory), places)
+        links = state.batch.worlds.links
+        linked = np.zeros((len(places),) * 2, bool) if links is None else np.asarray(links.in_range[WORLD])
+        before = self._linked.get(name, np.zeros_like(linked))
+        self._linked[name] = linked
+        return begun_links(task, env.scene, linked, before, places)
 
 
 def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
