@@ -5,12 +5,16 @@ observes them, then over the messages of those that have a link to it. A message
 bytes each, sent to all that are linked, once an action. Networks know no number of robots: weights of a team
 of four drive teams of two or eight.
 
-In tasks whose agents choose goals the mates are the nearest ones, and no messages are sent.
-
 The mailbox is differentiable: in the update the loss of a listener's action goes back through the message
 into the speaker's weights (Foerster et al., "Learning to communicate with deep multi-agent reinforcement
 learning", 2016; Das et al., "TarMAC", 2019). `--message 0` trains without messages. Messages arrive within
 the step that they are sent in.
+
+In tasks whose agents choose goals the mates are the nearest ones, and messages are the `vector`s of the task
+(`actions=goals+message`, `message_floats`): a policy chooses when to send its `--message` numbers, and to
+whom. They take bytes and time, and agents observe the last one of each mate beside it. The sender learns from
+rewards alone: a vector arrives in a later step than that of its loss. Play such a run with the task's
+settings, as `--set actions=goals+message --set message_floats=8`.
 
     python examples/marl/attention.py --task explore-v2 --total-steps 20000000 --seed 0 --out runs/attention-0
     usarmjx eval examples/marl/attention.py:load@runs/attention-0 --task explore-v2 --set count=8
@@ -24,6 +28,7 @@ import flax.linen as nn
 import ippo
 import jax
 import jax.numpy as jnp
+import marl_games as games
 import marl_shared as shared
 import numpy as np
 
@@ -143,12 +148,27 @@ class Talker(nn.Module):
         return mean, jnp.broadcast_to(log_std, mean.shape), value
 
 
+def make_env(flags: AttentionFlags) -> Any:
+    """Return the worlds of a task or a game; where agents choose goals, they send vectors."""
+    if not flags.message or flags.task in games.GAMES:
+        return shared.make_env(flags)
+    from usarmjx.train import make_task
+
+    vectors = {"actions": "goals+message", "message_floats": flags.message}
+    return shared.make_env(flags, **(vectors if hasattr(make_task(flags.task), "message_floats") else {}))
+
+
 def network(team: shared.Team, flags: AttentionFlags) -> Any:
     """Return the network of a team; flax leaves its types open."""
-    layout = Layout.of(team.env)
-    if flags.message and layout.link is None:
-        raise SystemExit(f"--message 0: agents of {team.env.name} do not observe whom they are linked to")
-    return Talker(flags.hidden, team.action_size, flags.message, layout)
+    layout, own = Layout.of(team.env), flags.message
+    if layout.link is None:
+        if own != team.vector.size:
+            raise SystemExit(
+                f"--message {own}: agents of {team.env.name} send vectors of {team.vector.size} numbers"
+            )
+        # The task carries them, not the network.
+        own = 0
+    return Talker(flags.hidden, team.action_size, own, layout)
 
 
 def initial_params(team: shared.Team, flags: AttentionFlags) -> Any:
@@ -158,7 +178,7 @@ def initial_params(team: shared.Team, flags: AttentionFlags) -> Any:
 
 def train(flags: AttentionFlags, env: Any = None) -> tuple[shared.Learner, list[dict[str, Any]]]:
     """Train, and return the last state and the lines of the iterations."""
-    team = shared.Team(env or shared.make_env(flags))
+    team = shared.Team(env or make_env(flags))
     params = initial_params(team, flags)
     start = shared.start_learner(team, flags, params, shared.clipped_adam(flags))
     # A row is a whole team: the loss of a listener goes back through messages that are made again.

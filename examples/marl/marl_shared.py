@@ -67,8 +67,8 @@ def parse(kind: type[Any], about: str, words: list[str] | None = None) -> Any:
     return kind(**vars(parser.parse_args(words)))
 
 
-def make_env(flags: Flags) -> Any:
-    """Return the worlds of a task, or of a game."""
+def make_env(flags: Flags, **fields: Any) -> Any:
+    """Return the worlds of a task, some of whose fields may be set otherwise, or of a game."""
     import marl_games as games
 
     if flags.task in games.GAMES:
@@ -76,7 +76,12 @@ def make_env(flags: Flags) -> Any:
     import usarmjx
 
     return usarmjx.make(
-        flags.task, worlds=flags.num_worlds, engine=flags.engine, seed=flags.seed, physics=flags.physics
+        flags.task,
+        worlds=flags.num_worlds,
+        engine=flags.engine,
+        seed=flags.seed,
+        physics=flags.physics,
+        **fields,
     )
 
 
@@ -89,6 +94,8 @@ class Team:
         action_size: Numbers in an action.
         chooses: Whether an action is one of as many choices, as of goals; the last numbers of an observation
             say which are there.
+        vector: Numbers of a message behind the choices, and with how many of the last choices they count.
+        choices: Number of choices.
     """
 
     def __init__(self, env: Any) -> None:
@@ -98,8 +105,8 @@ class Team:
         self.obs_size = self.widest + (len(self.groups) if len(self.groups) > 1 else 0)
         self.action_size = max(group.action_size for group in self.groups)
         self.chooses = any(group.discrete for group in self.groups)
-        if any(group.vector.size for group in self.groups):
-            raise SystemExit("--task: agents send vectors beside their choices, use usarmjx train")
+        self.vector = self.groups[0].vector
+        self.choices = self.action_size - self.vector.size
         if self.chooses and len(self.groups) > 1:
             raise SystemExit("--task: agents that choose goals are of one class here")
 
@@ -121,35 +128,55 @@ class Team:
         return tuple(one[..., : group.action_size] for one, group in zip(parts, self.groups, strict=True))
 
     def allowed(self, obs: jax.Array, values: jax.Array) -> jax.Array:
-        """Return values of choices (..., action_size), far below all where the choice is not there."""
-        return jnp.where(obs[..., -self.action_size :] > 0.5, values, -1e9) if self.chooses else values
+        """Return values of choices (..., choices), far below all where the choice is not there."""
+        return jnp.where(obs[..., -self.choices :] > 0.5, values, -1e9) if self.chooses else values
+
+    def parts(self, values: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return what belongs to choices, and to vectors, of numbers of actions (..., action_size)."""
+        return values[..., : self.choices], values[..., self.choices :]
 
     def best(self, obs: jax.Array, mean: jax.Array) -> jax.Array:
         """Return the most probable actions (..., action_size) of a network's means; of choices its logits."""
         if not self.chooses:
             return mean
-        return jax.nn.one_hot(self.allowed(obs, mean).argmax(-1), self.action_size)
+        logits, numbers = self.parts(mean)
+        chosen = jax.nn.one_hot(self.allowed(obs, logits).argmax(-1), self.choices)
+        return jnp.concatenate([chosen, numbers], -1)
 
     def draw(self, key: jax.Array, obs: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
         """Return random actions (..., action_size)."""
+        spread = jnp.exp(log_std) * jax.random.normal(key, mean.shape)
         if not self.chooses:
-            return mean + jnp.exp(log_std) * jax.random.normal(key, mean.shape)
-        return self.best(obs, mean + jax.random.gumbel(key, mean.shape))
+            return mean + spread
+        other = jax.random.fold_in(key, 1)
+        chance = jax.random.gumbel(other, (*mean.shape[:-1], self.choices))
+        return self.best(obs, mean + jnp.concatenate([chance, self.parts(spread)[1]], -1))
 
     def log_probability(
         self, obs: jax.Array, mean: jax.Array, log_std: jax.Array, action: jax.Array
     ) -> jax.Array:
-        """Return the log density of actions, or log probability of choices (...)."""
+        """Return the log density of actions, or log probability of choices (...).
+
+        The density of a vector counts where it is sent: another one has no effect.
+        """
         if not self.chooses:
             return log_probability(mean, log_std, action)
-        return (jax.nn.log_softmax(self.allowed(obs, mean)) * action).sum(-1)
+        (logits, means), (_, spread), (chosen, numbers) = map(self.parts, (mean, log_std, action))
+        found = (jax.nn.log_softmax(self.allowed(obs, logits)) * chosen).sum(-1)
+        return found + self.sends(chosen) * log_probability(means, spread, numbers)
+
+    def sends(self, shares: jax.Array) -> jax.Array:
+        """Return the share of choices (..., choices) with which a vector is sent (...)."""
+        return shares[..., self.choices - self.vector.choices :].sum(-1)
 
     def entropy(self, obs: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
         """Return the mean entropy (), of normal distributions less a constant."""
         if not self.chooses:
             return log_std.sum(-1).mean()
-        log_prob = jax.nn.log_softmax(self.allowed(obs, mean))
-        return -(jnp.exp(log_prob) * log_prob).sum(-1).mean()
+        (logits, _), (_, spread) = self.parts(mean), self.parts(log_std)
+        log_prob = jax.nn.log_softmax(self.allowed(obs, logits))
+        share = jnp.exp(log_prob)
+        return (self.sends(share) * spread.sum(-1) - (share * log_prob).sum(-1)).mean()
 
     def reward(self, state: Any) -> jax.Array:
         """Return the rewards of the last step (worlds, agents)."""

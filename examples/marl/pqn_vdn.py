@@ -72,6 +72,8 @@ class Learner(shared.Learner, kw_only=True):
 
 def action_table(team: shared.Team, flags: PqnFlags) -> np.ndarray:
     """Return the actions (actions, action_size)."""
+    if team.vector.size:
+        raise SystemExit("--task: values of choices say nothing of the vectors that agents send here")
     if team.chooses:
         return np.eye(team.action_size, dtype=np.float32)
     return np.array(

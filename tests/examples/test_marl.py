@@ -29,9 +29,22 @@ class ChoiceGame(ChoiceToy):
     agents = 2
 
 
+class VectorGame(WhisperToy):
+    """`WhisperToy`: two agents send each other what to choose."""
+
+    agents = 2
+
+
+class DeafGame(VectorGame):
+    """Vectors do not arrive."""
+
+    def __init__(self, *args):
+        super().__init__(*args, deaf=True)
+
+
 load("marl/ippo")  # which attention.py imports
 WORLDS, LENGTH = 64, 8
-ALL = {**GAMES.GAMES, "choices": ChoiceGame}
+ALL = {**GAMES.GAMES, "choices": ChoiceGame, "vectors": VectorGame, "deaf": DeafGame}
 
 
 def flags_of(module):
@@ -248,7 +261,9 @@ def tasks():
     # The 48 arenas of the task take seconds to generate, and shapes do not depend on their number.
     arena = Buildings(levels=(0.4,), count=2, size=(5, 4), together=True, spacing=1.2)
     small = {"worlds": 2, "engine": "planar", "count": 2, "physics": "coarse", "arena": arena}
-    return {kind: usarmjx.make("explore-v3", actions=kind, **small) for kind in ("goals", "wheels")}
+    made = {kind: usarmjx.make("explore-v3", actions=kind, **small) for kind in ("goals", "wheels")}
+    talking = {"actions": "goals+message", "message_floats": 3}
+    return {**made, "vectors": usarmjx.make("explore-v3", **talking, **small)}
 
 
 @pytest.mark.parametrize(
@@ -259,6 +274,8 @@ def tasks():
         ("ippo_rnn", "goals"),
         ("pqn_vdn", "goals"),
         ("attention", "goals"),
+        ("attention", "vectors"),
+        ("ippo_rnn", "vectors"),
         ("fast_td3", "goals"),
         ("pqn_vdn", "wheels"),
         ("fast_td3", "wheels"),
@@ -270,7 +287,7 @@ def test_an_iteration_on_a_task_is_traced(name, kind, tasks, monkeypatch):
     monkeypatch.setattr(SHARED, "run", lambda flags, word, start, iterate, agents: (start, iterate(start)))
     flags = {"num_worlds": 2, "rollout_length": 4, "total_steps": 16, "hidden": 8, "task": env.name}
     sizes = {"buffer_steps": 8, "batch_size": 4} if name == "fast_td3" else {"num_minibatches": 1}
-    sizes |= {"message": 0} if name == "attention" else {}
+    sizes |= {"message": 3 * (kind == "vectors")} if name == "attention" else {}
     kinds = flags_of(module)(**flags, **sizes)
     start, (after, sums) = jax.eval_shape(lambda: module.train(kinds, env))
     shapes = [jax.tree.map(lambda one: (one.shape, one.dtype), tree) for tree in (start, after)]
@@ -282,8 +299,23 @@ def test_attention_refuses_observations_that_it_does_not_read(tasks):
     attention = load("marl/attention")
     with pytest.raises(SystemExit, match="does not read what robots of explore-v3 observe"):
         attention.Layout.of(tasks["wheels"])
-    with pytest.raises(SystemExit, match="--message 0: agents of explore-v3"):
+    with pytest.raises(SystemExit, match="--message 8: agents of explore-v3 send vectors of 0 numbers"):
         attention.train(attention.AttentionFlags(message=8, num_worlds=2), tasks["goals"])
+
+
+def test_attention_makes_a_task_whose_robots_send_its_messages(monkeypatch):
+    """Vectors of the task, of `--message` numbers, where robots choose goals; elsewhere its own mailbox."""
+    attention, made = load("marl/attention"), dict[str, object]()
+    monkeypatch.setattr(usarmjx, "make", lambda name, **fields: made.update(fields))
+    own = {"actions", "message_floats"}
+    for task, message, fields in (
+        ("explore-v3", 3, {"actions": "goals+message", "message_floats": 3}),
+        ("explore-v3", 0, {}),
+        ("explore-v2", 3, {}),
+    ):
+        made.clear()
+        attention.make_env(attention.AttentionFlags(task=task, message=message, num_worlds=2))
+        assert {name: made[name] for name in own & made.keys()} == fields
 
 
 def test_mates_that_are_not_there_are_not_attended_to():
@@ -301,6 +333,37 @@ def test_mates_that_are_not_there_are_not_attended_to():
     assert not np.array_equal(seen(1.0, 5.0), seen(1.0, -5.0))
 
 
-def test_vectors_beside_choices_are_refused():
-    with pytest.raises(SystemExit, match="agents send vectors beside their choices"):
-        SHARED.Team(WhisperToy(2))
+def test_vectors_beside_choices_are_learned_from_rewards():
+    """Deaf agents name the other's secret in half of the games; who hears its number, in all."""
+    more = {"message": 1, "iterations": 60, "gamma": 0.9, "entropy_coef": 0.01}
+    heard = score(*learn("attention", "vectors", **more)[:3], VectorGame(WORLDS))
+    deaf = score(*learn("attention", "deaf", **more)[:3], DeafGame(WORLDS))
+    assert heard > 0.9
+    assert deaf < 0.7
+
+
+def test_the_density_of_a_vector_counts_where_it_is_sent():
+    """The choices are two secrets, silence, and to speak, with which alone the number counts."""
+    team = SHARED.Team(VectorGame(1))
+    assert (team.choices, team.action_size) == (4, 5)
+    obs = jnp.zeros((1, 2, team.obs_size)).at[..., -2:].set(1.0)  # silence or speech
+    mean = jnp.array([9.0, 9.0, np.log(1.0), np.log(3.0), 0.2]) * jnp.ones((1, 2, 1))
+    log_std = jnp.full((1, 2, 5), np.log(0.5))
+    action = jnp.array([[[0, 0, 1, 0, 0.7], [0, 0, 0, 1, 0.7]]])
+    density = -0.5 * 1.0**2 - np.log(0.5) - 0.5 * np.log(2 * np.pi)
+    found = team.log_probability(obs, mean, log_std, action)
+    np.testing.assert_allclose(found, [[np.log(0.25), np.log(0.75) + density]], rtol=1e-5)
+    share = np.array([0.25, 0.75])
+    entropy = -(share * np.log(share)).sum() + 0.75 * np.log(0.5)
+    np.testing.assert_allclose(team.entropy(obs, mean, log_std), entropy, rtol=1e-5)
+    keys = jax.random.split(jax.random.key(0), 5000)
+    drawn = jax.vmap(lambda key: team.draw(key, obs, mean, log_std))(keys).reshape(-1, 5)
+    np.testing.assert_allclose(drawn[:, :4].mean(0), [0, 0, 0.25, 0.75], atol=0.02)  # 4 sigma
+    np.testing.assert_allclose([drawn[:, 4].mean(), drawn[:, 4].std()], [0.2, 0.5], atol=0.02)
+    best = team.best(obs, mean)
+    np.testing.assert_allclose(best[0, 0], [0, 0, 0, 1, 0.2], rtol=1e-6)
+
+
+def test_values_of_choices_refuse_vectors():
+    with pytest.raises(SystemExit, match="values of choices say nothing of the vectors"):
+        learn("pqn_vdn", "vectors", 1)
