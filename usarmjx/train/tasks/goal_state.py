@@ -20,7 +20,8 @@ class GoalState(struct.PyTreeNode, kw_only=True):
         goals: Goals of each robot as of the last choice (robots, goals, ...).
         chosen: Which of them it chose (robots,).
         way: Next positions on the way there [m] (robots, WAY_SQUARES, 2).
-        looked: Squares that each robot has looked at, if the task wants that (robots, i, j); else empty.
+        looked: Squares that each robot has looked at, if the task wants that (robots, i, j); those from which
+            an oracle has looked for victims in vain (victims, i, j); else empty.
         sent: Squares of news on each robot's map when the base last had all of it, if pictures show them; of
             parts of maps, those that it believes the base to have (robots, i, j); else empty.
         picture: Pictures of the robots' maps as of the last choice (robots, LEVELS, WIDTH, WIDTH, channels);
@@ -54,6 +55,7 @@ class KnownMaps(struct.PyTreeNode, kw_only=True):
         headers: Headers that they received, see `Belief` (robots, robots, HEADER_SIZE).
         age: Age of these [s] (robots, robots).
         mates: The others that are goals (robots, MATES).
+        sights: Positions of what an oracle has to look at, if it has to [m] (n, 2); else empty.
     """
 
     squares: jax.Array
@@ -63,6 +65,7 @@ class KnownMaps(struct.PyTreeNode, kw_only=True):
     headers: jax.Array
     age: jax.Array
     mates: Mates
+    sights: jax.Array | tuple[()] = ()
 
 
 class Progress(NamedTuple):

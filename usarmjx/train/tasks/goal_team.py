@@ -321,7 +321,7 @@ class GoalTeam(TeamTask):
         )
 
     def targets(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """Return the squares worth the way to one who knows all ([robots,] i, j): by default all of them."""
+        """Return the squares that are worth the way to one who knows all (i, j): by default all of them."""
         del view
         return memory.reachable
 

@@ -13,9 +13,10 @@ import numpy as np
 from usarmjx.base.backend import get_rows, set_rows
 from usarmjx.base.settings import POSITIVE, SHARE
 from usarmjx.models.types.robot import RobotSpec
+from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.task import TaskView
 from usarmjx.train.mapping.belief import Belief
-from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, MapGrid, classify_scan
+from usarmjx.train.mapping.maps import FREE, MARK, UNKNOWN, MapGrid, classify_scan, to_robot_frame
 from usarmjx.train.mapping.planning import box_sum
 from usarmjx.train.tasks.critic_features import victim_features
 from usarmjx.train.tasks.equip import VICTIM_FOV, victim_search_robot
@@ -148,8 +149,8 @@ LOOK_ANGLE = VICTIM_FOV / 2
 """Angle from straight ahead up to which it does [rad]."""
 LOOK_BOX, LOOK_SHARE = 2, 0.5
 """A square is worth a look if this share of the squares so far around it, along both axes, is."""
-LOOK_RADIUS = 0.9
-"""Distance from a victim at which an oracle looks at it [m]."""
+AT_PLACE, TRY_RADIUS = 0.45, 0.75
+"""Distance from a place at which an oracle is there, and around it within which it need not try again [m]."""
 
 
 def in_view(grid: MapGrid, pose: jax.Array) -> jax.Array:
@@ -173,8 +174,8 @@ class SearchBase(ReportingTeam):
     where. A victim is reported as soon as the base has a mark that stands for it; more of these add nothing.
 
     News are marks, as many squares each as `news_worth` says. Frontiers are also places that a robot's
-    scanner has seen and its victim sensor, which looks ahead only, has not. For an oracle squares beside
-    victims that are not reported are the only ones.
+    scanner has seen and its victim sensor, which looks ahead only, has not. For an oracle the
+    places nearest to victims that are not reported are the only ones.
 
     Attributes:
         near: Distance from a victim within which a mark is right [m].
@@ -202,12 +203,17 @@ class SearchBase(ReportingTeam):
         belief = memory.belief
         when = jnp.where(self.news(belief) > before, view.time, belief.mark_time)
         memory = memory.replace(belief=belief.replace(mark_time=when))
-        looked = memory.extra.looked | self.looks(view, belief)
+        looks = self.tries(view, memory) if self.oracle else self.looks(view, belief)
+        looked = memory.extra.looked | looks
         return memory.replace(extra=memory.extra.replace(looked=looked)), credit, begun
 
     def first_state(self, view: TaskView, memory: TeamMemory) -> GoalState:
         """As `GoalTeam`, and the first looks."""
-        return super().first_state(view, memory).replace(looked=self.looks(view, memory.belief))
+        state = super().first_state(view, memory)
+        if self.oracle:
+            none = jnp.zeros((len(victims_there(view)), *memory.reachable.shape), bool)
+            return state.replace(looked=none)
+        return state.replace(looked=self.looks(view, memory.belief))
 
     def looks(self, view: TaskView, belief: Belief) -> jax.Array:
         """Return the squares that robots look at now, as far as scans show them free (robots, i, j)."""
@@ -240,12 +246,47 @@ class SearchBase(ReportingTeam):
         del view
         return belief.mark_time < belief.base_contact_time
 
+    def known(self, view: TaskView, memory: TeamMemory) -> KnownMaps:
+        """As `GoalTeam`; an oracle knows where to look."""
+        known = super().known(view, memory)
+        return known.replace(sights=jnp.asarray(view.victims.at)[:, :2]) if self.oracle else known
+
+    def places(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the place nearest to each victim that robots get to (victims, i, j).
+
+        It is another one where robots have looked from there in vain, as through a wall.
+        """
+        gap = self.arena_grid(view.scene).gaps(jnp.asarray(view.victims.at)[:, :2])
+        allowed = memory.reachable & ~memory.extra.looked if self.oracle else memory.reachable
+        gap = jnp.where(allowed, gap, jnp.inf)
+        nearest = gap.min((1, 2), keepdims=True)
+        return (gap == nearest) & (nearest < LOOK_RANGE) & victims_there(view)[:, None, None]
+
+    def tries(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return the squares around robots that are turned to victims from their places (victims, i, j)."""
+        grid, pose = self.arena_grid(view.scene), memory.belief.pose[self.agents(view.scene)]
+        away = to_robot_frame(pose[:, None], jnp.asarray(view.victims.at)[:, :2])
+        # Half of the view: a robot that turns has had the victim in view by then.
+        faced = away[..., 0] > jnp.linalg.norm(away, axis=-1) * np.float32(np.cos(LOOK_ANGLE / 2))
+        gap = grid.gaps(pose[:, :2])[:, None]
+        there = ((gap < AT_PLACE) & self.places(view, memory)).any((2, 3))
+        return ((gap < TRY_RADIUS) & (faced & there)[..., None, None]).any(0)
+
     def targets(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """Return the squares beside victims that are not reported (i, j)."""
-        grid, people = self.arena_grid(view.scene), victims_there(view)
-        beside = grid.gaps(jnp.asarray(view.victims.at)[:, :2]) < LOOK_RADIUS
-        missing = people & ~memory.extra.achieved
-        return memory.reachable & (beside & missing[:, None, None]).any(0)
+        """Return the places of victims that are not reported (i, j)."""
+        return (self.places(view, memory) & ~memory.extra.achieved[:, None, None]).any(0)
+
+    def ways(self, scene: Scene, known: KnownMaps, goal: jax.Array) -> jax.Array:
+        """As `GoalTeam`; behind the place of a victim an oracle's way leads to the victim: it turns there."""
+        way = super().ways(scene, known, goal)
+        if isinstance(known.sights, tuple):
+            return way
+        gap = jnp.linalg.norm(goal[:, None] - known.sights, axis=-1)
+        victim = known.sights[gap.argmin(-1)]
+        there = jnp.linalg.norm(way - goal[:, None], axis=-1) < self.cell / 2
+        behind = there & jnp.roll(there, 1, -1).at[:, 0].set(False)
+        looks = (gap.min(-1) < LOOK_RANGE)[:, None] & behind
+        return jnp.where(looks[..., None], victim[:, None], way)
 
     def unfound(self, memory: TeamMemory) -> jax.Array:
         """As `GoalTeam`, by the looks of victim sensors (i, j)."""
@@ -280,7 +321,7 @@ class SearchBase(ReportingTeam):
         return (nearest & (gap <= self.near**2) & marks).any((1, 2))
 
     def wanted(self, view: TaskView, memory: TeamMemory) -> jax.Array:
-        """Return where victims lie that are not reported (i, j)."""
+        """Return the places of victims that are not reported (i, j)."""
         return self.targets(view, memory)
 
     def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
