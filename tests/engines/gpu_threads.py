@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -156,20 +157,36 @@ def _compiler() -> str:
     return found.stdout
 
 
+def _kept(suffix: str, words: tuple[str, ...], compile_to: Callable[[Path], None]) -> Path:
+    """Return a compiled file, which is kept beside the programs of JAX: compiling takes seconds.
+
+    Args:
+        suffix: Of its name.
+        words: All that it depends on, but for the version of Warp.
+        compile_to: Writes the file.
+    """
+    folder = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+    key = "\n".join((metadata.version("warp-lang"), *words))
+    file = folder / f"gpu-threads-{hashlib.sha256(key.encode()).hexdigest()}{suffix}"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}")
+        compile_to(part)
+        part.replace(file)  # another process reads all of it or nothing
+    return file
+
+
 @cache
 def _library(source: str, more: tuple[str, ...] = ()) -> Any:
-    """Return the entry of a library, which is kept beside the programs of JAX: compiling takes seconds."""
-    folder = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
-    key = "\n".join((_compiler(), metadata.version("warp-lang"), *FLAGS, *more, source))
-    library = folder / f"gpu-threads-{hashlib.sha256(key.encode()).hexdigest()}.so"
-    if not library.exists():
-        folder.mkdir(parents=True, exist_ok=True)
+    """Return the entry of a library."""
+
+    def compile_to(file: Path) -> None:
         with tempfile.TemporaryDirectory() as own:
-            code, part = Path(own) / "gpu.cpp", library.with_suffix(f".{os.getpid()}")
+            code = Path(own) / "gpu.cpp"
             code.write_text(source, encoding="utf-8")
-            subprocess.run([COMPILER, *FLAGS, *more, str(code), "-o", str(part)], check=True)
-            part.replace(library)  # another process reads all of it or nothing
-    return ctypes.CDLL(str(library)).run
+            subprocess.run([str(COMPILER), *FLAGS, *more, str(code), "-o", str(file)], check=True)
+
+    return ctypes.CDLL(str(_kept(".so", (_compiler(), *FLAGS, *more, source), compile_to))).run
 
 
 def run_as_on_a_gpu(code: str, kernel: Any, args: list[Any], dim: int, block: int) -> list[np.ndarray]:
@@ -339,8 +356,20 @@ def ptx_of(module: Any, folder: Path, arch: int = 75) -> str:
         arch: Compute capability, 75 for 7.5.
     """
     import warp as wp
+    from warp._src import build
+
+    compile_source = build.build_cuda
+
+    def build_once(source: str, arch: int, output: str, *, pch_dir: Any, **options: Any) -> None:
+        def compile_to(file: Path) -> None:
+            compile_source(source, arch, output, pch_dir=pch_dir, **options)
+            shutil.copyfile(output, file)
+
+        words = Path(source).read_text(encoding="utf-8"), str(arch), repr(sorted(options.items()))
+        shutil.copyfile(_kept(".ptx", words, compile_to), output)
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "build_cuda", build_once)
         # With the optimisation that users have: it decides which memory a kernel needs.
         patch.setattr(wp.config, "optimization_level", None)
         wp.compile_aot_module(module, arch=arch, module_dir=folder, use_ptx=True)
