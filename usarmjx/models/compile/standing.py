@@ -240,6 +240,8 @@ def _table_of(robot: RobotSpec, wheel: Range, mass: Range) -> np.ndarray:
     """Return lift, tilt and joints by wheel and mass (WHEEL_KNOTS, MASS_KNOTS, 5 + joints)."""
     usual = stance_of(robot).height
 
+    # A range that does not vary has the same value at all knots.
+    @cache
     def row(factor: float, load: float) -> np.ndarray:
         stance = varied_stance(robot, factor, load)
         return np.array([stance.height - usual, *stance.tilt, *stance.joints], np.float32)
