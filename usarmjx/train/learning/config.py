@@ -116,7 +116,11 @@ for task in ("hover-inspect", "wander"):
     GPU_SETTINGS[task] |= {"total_steps": 10_000_000, "imitation_steps": 1_000_000, "learning_rate": 3e-4}
 
 
-GPU_SETTINGS["soccer-v2"] |= {"num_worlds": 4096, "total_steps": 200_000_000, "imitation_steps": 10_000_000}
+# Without entropy the league stays where imitation left it: it wins 1 in 20 games against the baseline.
+GPU_SETTINGS["soccer-v2"] |= {
+    **{"num_worlds": 4096, "total_steps": 300_000_000},
+    **{"imitation_steps": 5_000_000, "entropy_coef": 0.005},
+}
 
 
 GPU_SETTINGS["stairs"] |= {"total_steps": 1_000_000, "imitation_steps": 1_000_000}
