@@ -18,8 +18,13 @@ GJKResult: Any = _gjk.GJKResult
 _search: Any = _gjk.gjk
 _function: Any = wp.func
 
+SPHERE = wp.constant(int(_gjk.GeomType.SPHERE))
+CAPSULE = wp.constant(int(_gjk.GeomType.CAPSULE))
+BOX = wp.constant(int(_gjk.GeomType.BOX))
+STALLED = wp.constant(1e-3)
+"""Distance below which searches stall [m]."""
 ATTEMPTS = wp.constant(5)
-"""Most searches for a pair. A search that begins at another guess stalls in a tenth of these cases."""
+"""Most searches for a pair. One that begins at another guess stalls in a tenth to a third of these cases."""
 
 
 @wp.func
@@ -51,7 +56,29 @@ def unstalled_gjk(
     return result
 
 
-unstalled_phase: Any = _function(name="unstalled_gjk_phase", module=__name__)(
+_phase: Any = _function(name="unstalled_gjk_phase", module=__name__)(
     with_globals(_gjk.gjk_phase.func, gjk=unstalled_gjk)
 )
-"""MuJoCo Warp's function before EPA, with these searches."""
+
+
+@wp.func
+def unstalled_phase(  # noqa: ANN201
+    tolerance: float,
+    cutoff: float,
+    iterations: int,
+    geom1: Any,  # noqa: ANN401
+    geom2: Any,  # noqa: ANN401
+    kind1: int,
+    kind2: int,
+    x_1: wp.vec3,
+    x_2: wp.vec3,
+):
+    """Return what MuJoCo Warp's function before EPA does; pairs with a box that stall have EPA next."""
+    deep, dist, count, x1, x2, result, one, other = _phase(
+        tolerance, cutoff, iterations, geom1, geom2, kind1, kind2, x_1, x_2
+    )
+    # Geoms that are apart mostly end the search by a plane between them, without a distance.
+    whole = (kind1 == BOX or kind2 == BOX) and kind1 != CAPSULE and kind1 != SPHERE
+    if whole and not deep and cutoff == 0.0 and dist > tolerance and dist < STALLED:
+        deep, result = True, GJKResult()  # no simplex: EPA finds nothing
+    return deep, dist, count, x1, x2, result, one, other

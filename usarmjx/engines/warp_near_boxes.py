@@ -14,6 +14,7 @@ import warp as wp
 
 from usarmjx.base.warp_functions import with_globals
 from usarmjx.engines.warp_gjk import unstalled_phase
+from usarmjx.engines.warp_normals import contacts_with_exact_normal, epa_with_exact_normal
 
 # Private; the version of MJX is pinned.
 _core: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_core")
@@ -142,5 +143,10 @@ def near_pair(  # noqa: ANN201 - Warp takes an annotation as the type in C
 @cache
 def near_collider(*args: int) -> Any:  # noqa: ANN401 - Warp's
     """Return the kernel that MuJoCo Warp's builder returns for the same arguments, with our changes."""
-    changed = {"geom_collision_pair_from_types": near_pair, "gjk_phase": unstalled_phase}
+    changed = {
+        "geom_collision_pair_from_types": near_pair,
+        "gjk_phase": unstalled_phase,
+        "epa_phase": epa_with_exact_normal,
+        "multicontact": contacts_with_exact_normal,
+    }
     return with_globals(_convex.ccd_kernel_builder.__wrapped__, **changed)(*args)
