@@ -107,13 +107,6 @@ VARIANTS = {
         MIDDLE,
         *LARGE,
     ),
-    "objects-wide": (
-        small_class(8, 4, 264, registers=128, fast=True),
-        small_class(12, 8, 648, registers=128, fast=True),
-        small_class(12, 16, 1160, registers=128, fast=True),
-        MIDDLE,
-        *LARGE,
-    ),
 }
 """Size classes by name, to be compared."""
 CLASSES = VARIANTS["objects"]
