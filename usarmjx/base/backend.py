@@ -251,7 +251,7 @@ def _rows(arg: Any, axis: Any) -> tuple[int | None, Callable[[int], Any]]:  # no
     if axis == 0:
         mapped = [True] * len(leaves)
     else:
-        # None is no leaf of JAX's trees: without `is_leaf` shared arguments would vanish.
+        # None is no leaf of JAX's trees: without a test of leaves shared arguments would vanish.
         prefix = jax.tree.map(lambda value: value is not None, axis, is_leaf=lambda value: value is None)
         mapped = jax.tree.leaves(
             jax.tree.map(lambda flag, part: jax.tree.map(lambda _: flag, part), prefix, arg)

@@ -42,7 +42,7 @@ class Clock(Node, kw_only=True):
 
 def wrapped_step(count: ArrayLike) -> np.ndarray:
     """Return a count of control steps as the 32-bit count that a clock has then."""
-    # NumPy wraps 64-bit counts silently in `astype`; a Python int beyond 32 bits would raise.
+    # NumPy wraps 64-bit counts silently where it casts them; a Python int beyond 32 bits would raise.
     return np.asarray(np.asarray(count, np.int64).astype(np.int32))
 
 

@@ -102,7 +102,7 @@ def has_display(environment: Mapping[str, str] = os.environ, platform: str = sys
     """Return whether a browser can show something here: on Linux only where there is a display."""
     if not platform.startswith(("linux", "freebsd")):
         return True
-    # `webbrowser` would start a browser of the terminal, as lynx, over the output here.
+    # Python's web browser module would start a browser of the terminal, as lynx, over the output here.
     return any(environment.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
 
 

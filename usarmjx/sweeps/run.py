@@ -172,8 +172,8 @@ def wandb_sink(project: str, name: str) -> Sink:
     def show(record: CellRecord) -> None:
         config = {key: as_text(value) for key, value in record.settings.items()}
         try:
-            # Without `reinit`, `init` returns the run of the cell before, which then gets the numbers of
-            # both.
+            # Without its option to begin anew, wandb returns the run of the cell before, which then gets
+            # the numbers of both.
             run = module.init(
                 project=project, group=name, name=record.key, config=config, reinit="finish_previous"
             )

@@ -334,7 +334,7 @@ def separate_footprints(
         jnp.bool_(True),
     )
     # Two more than pushes and restores: evaluations of the proposed and of the old poses.
-    # A fixed number, with `cond` inside: JAX has no reverse gradient of a loop whose length depends on data.
+    # A fixed number, `lax.cond` inside: JAX has no reverse gradient of a loop whose length depends on data.
     kept = jax.lax.fori_loop(0, 2 + PUSH_ITERATIONS + RESTORE_ITERATIONS, turn, start)
     x, y, yaw = kept.footprints.outline.x.T, kept.footprints.outline.y.T, kept.footprints.yaw.T
     # Robots pushed by others touched something, too, even if they end without an overlap.

@@ -169,7 +169,7 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
     layers, i, j = np.nonzero(found.area >= 0)
     if not len(layers):
         return None
-    # Areas have numbers from 0; cells that no robot can stand on have -1, which `bincount` would refuse.
+    # Areas have numbers from 0; cells that no robot can stand on have -1, which NumPy's counts refuse.
     areas = found.area[layers, i, j]
     x = found.grid.low[0] + (i + 0.5) * found.grid.cell
     y = found.grid.low[1] + (j + 0.5) * found.grid.cell

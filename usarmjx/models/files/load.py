@@ -115,7 +115,7 @@ class _Files:
             }
         if isinstance(value, (tuple, list)):
             return [self.plain(item) for item in cast("Sequence[object]", value)]
-        # `yaml.safe_dump` refuses NumPy's scalars.
+        # PyYAML's safe dump refuses NumPy's scalars.
         return cast("Any", value).item() if isinstance(value, np.generic) else value
 
 

@@ -78,7 +78,7 @@ class TransportWorker:
         self._open = open_transport
         self.counts = TransportCounts()
         self._outlets: set[Outlet] = set()
-        # `append` and `popleft` of a deque are atomic in CPython: the loop and the thread share them without
+        # Appends and pops of a deque are atomic in CPython: the loop and the thread share them without
         # a lock.
         self._jobs: deque[Callable[[Transport], None]] = deque()
         self._ready: deque[Outlet] = deque()

@@ -114,7 +114,7 @@ class DataLinkServer:
     async def make(self, wanted: EndpointPair) -> bool:
         """Connect to both ends of a link and forward between them; return whether both answered."""
         ends = (wanted.first, wanted.second)
-        # Without `return_exceptions` an end that connects after the other has failed would stay open.
+        # Without returned exceptions an end that connects after the other has failed would stay open.
         streams = await asyncio.gather(
             *(connect(end.address, end.port) for end in ends), return_exceptions=True
         )

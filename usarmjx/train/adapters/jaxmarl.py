@@ -280,7 +280,7 @@ def main() -> None:
     if not Path(sys.argv[0]).is_file():
         sys.exit(f"{sys.argv[0]} is no file: expected a program, as in baselines of JaxMARL's repository")
     register_worlds()
-    # As Python does for a program that it starts; `run_path` leaves the path of modules as it is.
+    # As Python does for a program that it starts; runpy leaves the path of modules as it is.
     sys.path.insert(0, str(Path(sys.argv[0]).parent))
     runpy.run_path(sys.argv[0], run_name="__main__")
 

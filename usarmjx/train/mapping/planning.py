@@ -306,7 +306,7 @@ def block_minima(costs: Array, count: int) -> tuple[jax.Array, jax.Array]:
     if down * across < count:
         lowest = jnp.concatenate([lowest, jnp.full(count - down * across, UNREACHABLE)])
         inside = jnp.concatenate([inside, jnp.zeros(count - down * across, inside.dtype)])
-    # Negated: `top_k` finds the largest.
+    # Negated: `lax.top_k` finds the largest.
     found, block = jax.lax.top_k(-lowest, count)
     square = jnp.stack(
         [block // across * BLOCK + inside[block] // BLOCK, block % across * BLOCK + inside[block] % BLOCK], -1

@@ -100,7 +100,7 @@ def nearest_mates(belief: Belief, base: int, time: Array, count: int) -> Mates:
     """Return the nearest of the robots that each robot has heard of lately."""
     robots = len(belief.pose)
     away = jnp.linalg.norm(belief.mate_headers[..., :2] - belief.pose[:, None, :2], axis=-1)
-    # Infinite distances sort last in `top_k`, which wants a fixed count while tracing.
+    # Infinite distances sort last in `lax.top_k`, which wants a fixed count while tracing.
     away = jnp.where(heard_of(belief, base, time), away, jnp.inf)
     # Filled up, so that a small team has as many places as the largest observation.
     away = jnp.concatenate([away, jnp.full((robots, count), jnp.inf)], -1)
