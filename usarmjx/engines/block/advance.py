@@ -233,7 +233,8 @@ class Advance:
             setattr(p, name, getattr(m, name))
         for name in ("M", "qvel", "qpos", "act", "act_dot"):
             setattr(p, name, getattr(d, name))
-        # The solver leaves the product of mass matrix and accelerations, so the right side of the implicit step is there already.
+        # The solver leaves the product of mass matrix and accelerations, the right side of the implicit
+        # step.
         p.momentum, p.timestep, p.worlds = d.efc.Ma, m.opt.timestep, d.nworld
         return p
 
