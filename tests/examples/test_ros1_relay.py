@@ -70,7 +70,7 @@ def test_nodes_of_ros_1_hear_a_robot_and_drive_it(tmp_path):
     env |= {"ROS_HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}
     world = DynamicWorld(FLAT)
     with (
-        serving_ros(world, version=RosVersion.ROS1) as (port, _),
+        serving_ros(world, 1.0, version=RosVersion.ROS1) as (port, _),
         running("/usr/bin/rosmaster", "--core", "-p", str(master), env=env),
         running(PYTHON, str(RELAY), f"_url:=ws://127.0.0.1:{port}", env=env),
     ):

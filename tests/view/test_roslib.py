@@ -77,7 +77,7 @@ def pixels(page, file):
 
 @pytest.mark.alone
 def test_a_page_of_roslib_asks_what_there_is_and_shows_a_robot_that_moves(browser, site, tmp_path):
-    with serving_ros(DynamicWorld(FLAT)) as (port, _):
+    with serving_ros(DynamicWorld(FLAT), 1.0) as (port, _):
         page = browser.open(f"{site}#{port}")
         page.wait("typeof begin === 'function' && ros.isConnected")
         page.js("begin()")

@@ -18,7 +18,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tests.arenas import COURSE, FLAT
-from tests.server.lockstep import waiting
+from tests.server.lockstep import LOCKSTEP, waiting
 from tests.server.peers import PATIENCE, Peer, looping, wait_until
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.robots import ROBOTS
@@ -96,11 +96,11 @@ class Ros:
 
 
 @contextlib.contextmanager
-def serving_ros(world, **settings):
-    """A running server's rosbridge port, and the server."""
+def serving_ros(world, realtime_factor=LOCKSTEP, **settings):
+    """A running server's rosbridge port, and the server; not in lockstep for clients in other processes."""
     service = RosbridgeServer(world, RosSettings(port=0, size=(32, 24), **settings))
     server = service.server = BotServer(world, BotServerSettings(port=0), [service])
-    with looping([server]):
+    with looping([server], realtime_factor):
         yield service.port, server
 
 

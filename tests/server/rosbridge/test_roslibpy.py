@@ -23,7 +23,7 @@ def asked(function, *args):
 
 
 def test_roslibpy_asks_drives_and_hears():
-    with serving_ros(DynamicWorld(FLAT)) as (port, _):
+    with serving_ros(DynamicWorld(FLAT), 1.0) as (port, _):
         ros = roslibpy.Ros("127.0.0.1", port)
         ros.run(timeout=PATIENCE)
         spawn = roslibpy.Service(ros, "/simulator/spawn", "usarmjx_msgs/Spawn")
