@@ -150,7 +150,10 @@ LOOK_ANGLE = VICTIM_FOV / 2
 LOOK_BOX, LOOK_SHARE = 2, 0.5
 """A square is worth a look if this share of the squares so far around it, along both axes, is."""
 AT_PLACE, TRY_RADIUS = 0.45, 0.75
-"""Distance from a place at which an oracle is there, and around it within which it need not try again [m]."""
+"""Distance from a place at which an oracle is there, and around the robot within which it need not try again
+[m]."""
+FAR_AWAY = np.float32(1e6)
+"""Coordinate of what is not to be looked at [m]."""
 
 
 def in_view(grid: MapGrid, pose: jax.Array) -> jax.Array:
@@ -249,7 +252,12 @@ class SearchBase(ReportingTeam):
     def known(self, view: TaskView, memory: TeamMemory) -> KnownMaps:
         """As `GoalTeam`; an oracle knows where to look."""
         known = super().known(view, memory)
-        return known.replace(sights=jnp.asarray(view.victims.at)[:, :2]) if self.oracle else known
+        if not self.oracle:
+            return known
+        wanted = victims_there(view) & ~memory.extra.achieved
+        # Far from any goal: a robot at the place of one victim does not turn to another that is reported.
+        sights = jnp.where(wanted[:, None], jnp.asarray(view.victims.at)[:, :2], FAR_AWAY)
+        return known.replace(sights=sights)
 
     def places(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Return the place nearest to each victim that robots get to (victims, i, j).
@@ -279,7 +287,7 @@ class SearchBase(ReportingTeam):
     def ways(self, scene: Scene, known: KnownMaps, goal: jax.Array) -> jax.Array:
         """As `GoalTeam`; behind the place of a victim an oracle's way leads to the victim: it turns there."""
         way = super().ways(scene, known, goal)
-        if isinstance(known.sights, tuple):
+        if isinstance(known.sights, tuple) or not len(known.sights):
             return way
         gap = jnp.linalg.norm(goal[:, None] - known.sights, axis=-1)
         victim = known.sights[gap.argmin(-1)]
@@ -289,7 +297,9 @@ class SearchBase(ReportingTeam):
         return jnp.where(looks[..., None], victim[:, None], way)
 
     def unfound(self, memory: TeamMemory) -> jax.Array:
-        """As `GoalTeam`, by the looks of victim sensors (i, j)."""
+        """As `GoalTeam`, by the looks of victim sensors (i, j); an oracle remembers looks in vain only."""
+        if self.oracle:
+            return super().unfound(memory)
         return memory.reachable & ~memory.extra.looked.any(0)
 
     def things(self, view: TaskView, memory: TeamMemory) -> jax.Array:
