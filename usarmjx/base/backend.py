@@ -157,7 +157,8 @@ def get_rows(values: Array, places: np.ndarray) -> Any:  # noqa: ANN401 - an arr
 
     On JAX successive rows are a slice: a gather would be a kernel of its own on a GPU, and a copy.
     """
-    if _on_numpy.get() or not places.size or (np.diff(places) != 1).any():
+    beyond = places.size and (places[0] < 0 or places[-1] >= len(values))
+    if _on_numpy.get() or not places.size or beyond or (np.diff(places) != 1).any():
         return values[places]
     return values[int(places[0]) : int(places[-1]) + 1]
 
