@@ -486,7 +486,7 @@ class Network(nn.Module):
     def _recur(self, x: jax.Array, carry: jax.Array, is_first: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Run the GRU: only the part that needs its own past is done step by step."""
         gates = nn.Dense(3 * self.memory, name="gates")(x)
-        # As in flax's own GRU: orthogonal weights neither stretch nor shrink the carry at the start.
+        # Orthogonal as in flax's own GRU, but one matrix for all gates: each gate's part shrinks the carry.
         weights = param(self, "recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
         bias = param(self, "recurrent_bias", nn.initializers.zeros, (self.memory,))
         x = recur(gates, weights, bias, carry, is_first)

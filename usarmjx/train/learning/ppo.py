@@ -263,7 +263,6 @@ def compute_targets(
     return batch, tuple(returns)
 
 
-@jax.named_scope("ppo.loss")
 def _sums_of(terms: dict[str, jax.Array], valid: jax.Array) -> dict[str, jax.Array]:
     """Return the sums of terms over valid entries; all are of one shape."""
     # Stacked: a GPU has one kernel for all sums, else one or two for each.
@@ -271,6 +270,7 @@ def _sums_of(terms: dict[str, jax.Array], valid: jax.Array) -> dict[str, jax.Arr
     return dict(zip(terms, rows.sum(1), strict=True))
 
 
+@jax.named_scope("ppo.loss")
 def loss(
     weights: ActorCriticParams,
     networks: Networks,
