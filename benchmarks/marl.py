@@ -62,18 +62,23 @@ def seed_figures(run: dict[str, Any], lines: Sequence[dict[str, Any]]) -> dict[s
     }
 
 
+def _alike(run: dict[str, Any]) -> dict[str, Any]:
+    """Return the flags that all seeds of a record share."""
+    return {name: value for name, value in run["flags"].items() if name not in ("seed", "out")}
+
+
 def records_of(folder: Path, note: str = "") -> list[dict[str, Any]]:
-    """Return a record for each algorithm and task of the runs in a folder."""
+    """Return a record for each algorithm and settings of the runs in a folder, made on this machine."""
     found: dict[tuple[str, str], list[tuple[dict[str, Any], list[dict[str, Any]]]]] = defaultdict(list)
     for one in sorted(path.parent for path in folder.glob("*/run.json")):
         run, lines = read_run(one)
-        found[run["algorithm"], run["flags"]["task"]].append((run, lines))
+        found[run["algorithm"], json.dumps(_alike(run))].append((run, lines))
     if not found:
         raise UsageError(f"{folder} has no runs of examples/marl")
     records = []
-    for (algorithm, task), runs in sorted(found.items()):
-        flags = {name: value for name, value in runs[0][0]["flags"].items() if name not in ("seed", "out")}
-        case = {"algorithm": algorithm, "task": task, "worlds": flags["num_worlds"]}
+    for (algorithm, _), runs in sorted(found.items()):
+        flags = _alike(runs[0][0])
+        case = {"algorithm": algorithm, "task": flags["task"], "worlds": flags["num_worlds"]}
         seeds = [seed_figures(run, lines) for run, lines in runs]
         header = record_header("marl", note=note)
         empty = {"scene": None, "rates": {}, "baselines": {"planner": {"missing": "not asked for"}}}
@@ -108,9 +113,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--note", default="", help="remark for readers of the records")
     args = parser.parse_args(arguments)
     if args.runs.is_file():
+        if args.json is not None:
+            parser.error("--json is for folders of runs: the records of a file are there already")
         records = [json.loads(line) for line in args.runs.read_text().splitlines()]
     else:
-        records = records_of(args.runs, args.note)
+        try:
+            records = records_of(args.runs, args.note)
+        except UsageError as error:
+            parser.error(str(error))
     if args.json is not None:
         with args.json.open("a", encoding="utf-8") as file:
             file.writelines(json.dumps(record) + "\n" for record in records)
