@@ -288,4 +288,5 @@ def test_an_oracle_scores_more_than_the_baseline_that_hears_all():
     teams = ("perfect-radio", "oracle")
     rows = measure_teams("victim-search-v3", 8, teams=teams, engine="planar", split="validation", **alike)
     baseline, oracle = (np.array(row.by_world) for row in rows)
+    assert (oracle > baseline).all(), (oracle, baseline)
     assert oracle.mean() > baseline.mean() + 20.0
