@@ -15,6 +15,8 @@ import numpy as np
 
 from benchmarks.tools import record_header
 from usarmjx.base.errors import UsageError
+from usarmjx.plots.training_plots import seconds_so_far
+from usarmjx.train.learning.metrics import read_lines
 
 POINTS = 40
 """Most points of a recorded curve: scores of single iterations would be noise."""
@@ -30,9 +32,9 @@ def read_run(folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """
     try:
         run = json.loads((folder / "run.json").read_text())
-        lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     except OSError as error:
         raise UsageError(f"{folder} is no run of examples/marl: {error}") from error
+    lines = read_lines(folder / "metrics.jsonl")
     if not any(line["score"] is not None for line in lines):
         raise UsageError(f"no episode has ended yet in the run in {folder}")
     return run, lines
@@ -42,7 +44,7 @@ def seed_figures(run: dict[str, Any], lines: Sequence[dict[str, Any]]) -> dict[s
     """Return seed, time, mean score of the last quarter and curve of a run; time has the compilation."""
     steps = np.array([line["agent_steps"] for line in lines], float)
     rates = np.array([line["steps_per_s"] for line in lines], float)
-    seconds = np.cumsum(np.diff(steps, prepend=0.0) / rates)
+    seconds = seconds_so_far(steps, rates)
     episodes = np.array([line["episodes"] for line in lines], float)
     # Iterations count by their episodes; those without any have no score.
     points = episodes * np.array([line["score"] or 0.0 for line in lines], float)

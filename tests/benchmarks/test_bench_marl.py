@@ -17,12 +17,12 @@ def runs(tmp_path):
         flags = {"task": "explore-v2", "num_worlds": 8, "seed": seed, "out": str(folder)}
         (folder / "run.json").write_text(json.dumps({"algorithm": "ippo", "flags": flags}))
         lines = [
-            {"agent_steps": 100, "steps_per_s": 2.0, "episodes": 0, "score": None},
-            {"agent_steps": 200, "steps_per_s": 50.0, "episodes": 1, "score": 4.0},
-            {"agent_steps": 300, "steps_per_s": 100.0, "episodes": 1, "score": 6.0},
-            {"agent_steps": 400, "steps_per_s": 100.0, "episodes": 3, "score": 8.0 + seed},
+            {"iteration": 1, "agent_steps": 100, "steps_per_s": 2.0, "episodes": 0, "score": None},
+            {"iteration": 2, "agent_steps": 200, "steps_per_s": 50.0, "episodes": 1, "score": 4.0},
+            {"iteration": 3, "agent_steps": 300, "steps_per_s": 100.0, "episodes": 1, "score": 6.0},
+            {"iteration": 4, "agent_steps": 400, "steps_per_s": 100.0, "episodes": 3, "score": 8.0 + seed},
         ]
-        (folder / "metrics.jsonl").write_text("\n".join(json.dumps(line) for line in lines))
+        (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     return tmp_path
 
 
@@ -52,6 +52,8 @@ def test_a_folder_without_runs_is_refused(tmp_path):
 
 def test_a_run_without_an_ended_episode_is_refused(runs):
     lines = runs / "ippo-0" / "metrics.jsonl"
-    lines.write_text(json.dumps({"agent_steps": 100, "steps_per_s": 1.0, "episodes": 0, "score": None}))
+    lines.write_text(
+        json.dumps({"iteration": 1, "agent_steps": 100, "steps_per_s": 1.0, "episodes": 0, "score": None})
+    )
     with pytest.raises(UsageError, match="no episode has ended"):
         records_of(runs)

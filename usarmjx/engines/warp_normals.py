@@ -14,13 +14,14 @@ from typing import Any
 
 import warp as wp
 
+from usarmjx.engines.warp_gjk import BOX
+
 # Private; the version of MJX is pinned.
 _gjk: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_gjk")
 _epa_phase: Any = _gjk.epa_phase
 _multicontact: Any = _gjk.multicontact
 _support: Any = _gjk.support
 
-BOX = wp.constant(int(_gjk.GeomType.BOX))
 ROUNDING = wp.constant(2e-7)
 """Of places of some metres in single precision [m]."""
 

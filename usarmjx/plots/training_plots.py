@@ -122,6 +122,12 @@ def curve_of_record(record: dict[str, Any]) -> Curve:
     )
 
 
+def seconds_so_far(steps: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Return the time at the end of each iteration [s] (iterations,), given agent steps so far and rates."""
+    # By each iteration's own rate, as a run's file has no times; pauses between runs do not count.
+    return np.cumsum(np.diff(steps, prepend=0.0) / rates)
+
+
 def curve_of_run(folder: Path) -> Curve:
     """Return the curve of a run, from what it has written down.
 
@@ -138,14 +144,12 @@ def curve_of_run(folder: Path) -> Curve:
     there, config = np.isfinite(score), settings.config
     if not there.any():
         raise UsageError(f"no episode has ended yet in the run in {folder}")
-    # By each iteration's own rate, as a run's file has no times; pauses between runs do not count.
-    seconds = np.cumsum(np.diff(steps, prepend=0.0) / rates)
     return Curve(
         task=settings.task,
         seed=config.seed,
         worlds=config.num_worlds,
         steps=steps[there],
-        seconds=seconds[there],
+        seconds=seconds_so_far(steps, rates)[there],
         score=score[there],
         engine=settings.engine,
         fields=overridden_fields(settings.task, settings.engine, settings.overrides),

@@ -722,7 +722,7 @@ class GoalTeam(TeamTask):
         facts = [coverage(memory), memory.step / self.episode_steps, memory.score / 100.0]
         truth = [memory.reachable, memory.explored, self.wanted(view, memory)]
         maps = [coarse(one, TRUTH_WIDTH).ravel() for one in truth]
-        own = memory.belief.squares[self.agents(view.scene)] == FREE
+        own = get_rows(memory.belief.squares, self.agents(view.scene)) == FREE
         maps.append(jax.vmap(partial(coarse, width=OWN_WIDTH))(own).ravel())
         return jnp.concatenate([jnp.stack(facts), *maps, true_pose_features(view)])
 

@@ -336,7 +336,7 @@ class SearchBase(ReportingTeam):
 
     def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """As `GoalTeam`, and victims: where they are, which are reported, and which are on whose map."""
-        marks = memory.belief.squares[self.agents(view.scene)] == MARK
+        marks = get_rows(memory.belief.squares, self.agents(view.scene)) == MARK
         victims = victim_features(
             view.scene.arena,
             jnp.asarray(view.victims.at)[:, :2],

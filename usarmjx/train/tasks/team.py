@@ -415,10 +415,8 @@ class TeamTask(Task):
             belief = update_from_mail(grid, belief, view.mail, self.mail_period(view.scene))
         for g, group in enumerate(view.scene.groups):
             if has_scanner(group):
-                scan, recent = (
-                    scan_of(view, g, get_rows(belief.pose, group.slots)),
-                    self.recent_age(view.scene),
-                )
+                scan = scan_of(view, g, get_rows(belief.pose, group.slots))
+                recent = self.recent_age(view.scene)
                 belief = update_from_scan(grid, belief, scan, view.time, recent)
         belief = self.update_task_belief(view, belief)
         return self.plan(view, belief)
