@@ -20,11 +20,19 @@ _function: Any = wp.func
 
 SPHERE = wp.constant(int(_gjk.GeomType.SPHERE))
 CAPSULE = wp.constant(int(_gjk.GeomType.CAPSULE))
+ELLIPSOID = wp.constant(int(_gjk.GeomType.ELLIPSOID))
+MESH = wp.constant(int(_gjk.GeomType.MESH))
 BOX = wp.constant(int(_gjk.GeomType.BOX))
 STALLED = wp.constant(1e-3)
 """Distance below which searches stall [m]."""
 ATTEMPTS = wp.constant(5)
 """Most searches for a pair. One that begins at another guess stalls in a tenth to a third of these cases."""
+SHORT = wp.constant(12)
+"""Iterations of all searches but the last for cylinders and boxes.
+
+Wheels in `yellow` had 57,000 searches: 95.4 % ended, all but four of these within 12 iterations. Threads of a
+warp wait for each other, so a stalled search should not use all of its iterations.
+"""
 
 
 @wp.func
@@ -45,9 +53,10 @@ def unstalled_gjk(
     guess = x1 - x2
     attempt = wp.int32(0)
     while attempt < ATTEMPTS:
-        result = _search(
-            tolerance, iterations, geom1, geom2, x2 + guess, x2, kind1, kind2, cutoff, is_discrete
-        )
+        most = iterations
+        if attempt + 1 < ATTEMPTS and kind1 != ELLIPSOID and kind2 != ELLIPSOID and kind2 != MESH:
+            most = wp.min(iterations, SHORT)
+        result = _search(tolerance, most, geom1, geom2, x2 + guess, x2, kind1, kind2, cutoff, is_discrete)
         # A search that ends has reached the origin, or a plane between the geoms.
         if result.separated or result.dist <= tolerance:
             break
