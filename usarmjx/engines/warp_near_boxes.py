@@ -13,7 +13,8 @@ from typing import Any
 import warp as wp
 
 from usarmjx.base.warp_functions import with_globals
-from usarmjx.engines.warp_gjk import BOX, CAPSULE, ELLIPSOID, SPHERE, unstalled_phase
+from usarmjx.engines.warp_faces import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from usarmjx.engines.warp_gjk import unstalled_phase
 from usarmjx.engines.warp_normals import contacts_with_exact_normal, epa_with_exact_normal
 
 # Private; the version of MJX is pinned.
@@ -21,7 +22,6 @@ _core: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_co
 _convex: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_convex")
 _pair_of_types: Any = _core.geom_collision_pair_from_types
 
-CYLINDER = wp.constant(int(_convex.GeomType.CYLINDER))
 NEAR = wp.constant(1.0)
 """Farthest that the middle of a box cut at both ends is from the other geom's cell, along each axis [m].
 
