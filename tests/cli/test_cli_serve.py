@@ -159,15 +159,15 @@ def test_every_world_has_ports_of_its_own_for_everything(order):
 
 
 def test_one_option_moves_all_ports(order):
-    made, result = order("--port-offset", "1111", "--rosbridge-port", "5005")
+    made, result = order("--port-offset", "12000", "--rosbridge-port", "5005")
     assert result.exit_code == 0, result.stderr
     (server,) = made.servers
     radio, images, ros, _, live_page = server.services
-    assert live_page.port == VIEWER_PORT + 1111
-    assert server.settings.port == 3000 + 1111
+    assert live_page.port == VIEWER_PORT + 12000
+    assert server.settings.port == 3000 + 12000
     air = radio._settings
-    assert (air.wss_port, air.wss2_port, air.position_port) == (5874 + 1111, 50000 + 1111, 7435 + 1111)
-    assert (images._settings.port, ros._settings.port) == (5003 + 1111, 5005 + 1111)
+    assert (air.wss_port, air.wss2_port, air.position_port) == (5874 + 12000, 50000 + 12000, 7435 + 12000)
+    assert (images._settings.port, ros._settings.port) == (5003 + 12000, 5005 + 12000)
 
 
 @pytest.mark.parametrize(
