@@ -52,16 +52,20 @@ def cell(task, scores, cutoff, policy, method, **more):
     )
 
 
-def results_of(suite, split="test"):
-    """Random, the baseline, and a method of three runs halfway between 1 and 2."""
+METHODS = (("random", 0.0, 1), ("baseline", 1.0, 1), ("mine", 1.5, RUNS))
+"""Name, share and number of runs of each method: the last one's lie around halfway between 1 and 2."""
+
+
+def results_of(suite, split="test", methods=METHODS, tasks=TASKS):
+    """Results of methods whose scores lie at their shares between 10 and the highest of each task."""
     draw, found = np.random.default_rng(2), []
     building = draw.normal(0.0, 0.5, BUILDINGS)
-    for method, share, count in (("random", 0.0, 1), ("baseline", 1.0, 1), ("mine", 1.5, RUNS)):
+    for method, share, count in methods:
         for run in range(count):
             name = method if count == 1 else f"runs/{method}-{run}"
             cells = [
                 cell(task, 10.0 + share * (base - 10.0) + building + 0.2 * run, cutoff, name, method)
-                for task, base in TASKS.items()
+                for task, base in tasks.items()
                 for cutoff in (-49, -43)
             ]
             found.append(
@@ -74,7 +78,7 @@ def results_of(suite, split="test"):
                     commit="abc",
                     card="H200",
                     versions={"jax": "0.10.2"},
-                    policies=dict.fromkeys(TASKS, "0123"),
+                    policies=dict.fromkeys(tasks, "0123"),
                     cells=tuple(cells),
                 )
             )
@@ -94,7 +98,8 @@ def test_the_bundled_suite_asks_for_held_out_buildings_that_do_not_depend_on_the
     with pytest.raises(UsageError, match="split 'train', expected one of validation, test"):
         suite.spec("train", "mine", ["random"])
     with pytest.raises(
-        UsageError, match="no-such is no file, and no bundled suite; those are: drive-v1, teams-v1, teams-v3"
+        UsageError,
+        match="no bundled suite; those are: drive-v1, teams-v1, teams-v3, teams-v3-small",
     ):
         find_suite("no-such")
 
@@ -182,6 +187,30 @@ def test_the_suite_of_teams_that_choose_goals_has_all_sizes_and_radios():
     sizes = Counter(label.rpartition("-")[0] for label in found.labels)
     assert (found.task.count, found.levels, set(sizes.values())) == (2, 9, {15})
     assert len(sizes) == 3
+
+
+def test_the_small_suite_has_cells_of_the_suite_of_teams_that_choose_goals():
+    """One of each task, in three buildings of each size; the oracle counts as 1 in both."""
+    whole, small = (load_suite(find_suite(name)) for name in ("teams-v3", "teams-v3-small"))
+    assert (small.file.zero, small.file.one) == (whole.file.zero, whole.file.one) == ("random", "oracle")
+    cells, all_cells = (one.spec("test", "mine", ["baseline"]).cells for one in (small, whole))
+    assert [one["task"] for one in cells] == GOAL_TASKS
+    for cell in cells:
+        assert any({**one, "episodes": 9, "arena.count": 3} == cell for one in all_cells)
+        sizes = Counter(label.rpartition("-")[0] for label in resolve(cell).buildings)
+        assert sorted(sizes.values()) == [3, 3, 3]
+
+
+def test_shares_of_teams_that_choose_goals_end_at_the_oracle():
+    """A method at 0.4 of the way has that share; without the oracle's results there are no shares."""
+    suite, tasks = load_suite(find_suite("teams-v3")), dict.fromkeys(GOAL_TASKS, 60.0)
+    methods = (("random", 0.0, 1), ("baseline", 0.4, 1), ("oracle", 1.0, 1))
+    results = results_of(suite, methods=methods, tasks=tasks)
+    record = standings_record(standings_of(results, suite), FEW)
+    assert record["all"]["oracle"]["value"] == pytest.approx(1.0)
+    assert record["all"]["baseline"]["value"] == pytest.approx(0.4)
+    text = standings_report(standings_of(results[:2], suite), FEW)
+    assert text.endswith("no normalised scores: no results of oracle")
 
 
 @pytest.mark.thorough

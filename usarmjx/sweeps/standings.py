@@ -82,12 +82,14 @@ class Standings:
         split: Split of the buildings.
         rows: A row for each task and method.
         notes: Remarks for readers.
+        missing: Methods that count as 0 or 1 and have no results here.
     """
 
     suite: str
     split: str
     rows: tuple[TaskStanding, ...]
     notes: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
     @property
     def tasks(self) -> list[str]:
@@ -126,7 +128,14 @@ def standings_of(results: Sequence[RunResult], suite: BenchmarkSuite) -> Standin
     rows: list[TaskStanding] = []
     for task in dict.fromkeys(cell.settings["task"] for one in results for cell in one.cells):
         rows += _of_task(task, results, suite)
-    return Standings(suite=suite.name, split=splits[0], rows=tuple(rows), notes=_notes(results))
+    anchors = [one for one in (suite.file.zero, suite.file.one) if isinstance(one, str)]
+    return Standings(
+        suite=suite.name,
+        split=splits[0],
+        rows=tuple(rows),
+        notes=_notes(results),
+        missing=tuple(one for one in anchors if one not in {row.method for row in rows}),
+    )
 
 
 def _notes(results: Sequence[RunResult]) -> tuple[str, ...]:
@@ -226,7 +235,8 @@ def standings_report(found: Standings, how: Resampler | None = None) -> str:
         lines += ["", f"**{task}**", "", *_task_table([one for one in found.rows if one.task == task], how)]
     tables = {method: own for method in found.methods if (own := found.tables(method)) is not None}
     if not tables:
-        return "\n".join([*lines, "", "no normalised scores: the suite's scores for 0 and 1 are not here"])
+        why = f"no results of {' and '.join(found.missing)}" if found.missing else "no method has all tasks"
+        return "\n".join([*lines, "", f"no normalised scores: {why}"])
     ranked = sorted(tables, key=lambda method: -interquartile_interval(tables[method], how).value)
     head = ["method", "runs", "interquartile mean", "mean", *(f"above {one:g}" for one in THRESHOLDS)]
     rows = [_total_row(method, tables[method], how) for method in ranked]
