@@ -99,7 +99,8 @@ def test_the_bundled_suite_asks_for_held_out_buildings_that_do_not_depend_on_the
         suite.spec("train", "mine", ["random"])
     with pytest.raises(
         UsageError,
-        match="no bundled suite; those are: drive-v1, teams-v1, teams-v3, teams-v3-small",
+        match="no-such is no file, and no bundled suite; those are: "
+        "drive-v1, teams-v1, teams-v3, teams-v3-small",
     ):
         find_suite("no-such")
 
