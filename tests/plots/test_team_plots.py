@@ -11,13 +11,23 @@ from flax import struct
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from numpy.testing import assert_allclose
+from PIL import Image
 from typer.testing import CliRunner
 
 from tests.arenas import FLAT
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
-from usarmjx.plots.play import TeamWays, draw_finds, draw_messages, draw_ways, just_sent, plot_teams
+from usarmjx.plots.play import (
+    SentMessage,
+    TeamWays,
+    draw_finds,
+    draw_messages,
+    draw_ways,
+    just_sent,
+    plot_teams,
+)
 from usarmjx.plots.style import PALETTE
+from usarmjx.plots.team_film import film_teams, recent_messages, team_frames
 from usarmjx.train.evaluation import yardsticks
 from usarmjx.train.evaluation.yardsticks import TeamResult
 from usarmjx.train.tasks.messages import MAP, PLAN, VECTOR, MessageState, no_messages, option
@@ -193,3 +203,39 @@ def test_letters_with_a_vector_are_drawn_as_such():
     )
     memory = Memory(step=np.array(task.hold // 2 + 1), extra=Extra(messaging=state))
     assert [one.kind for one in just_sent(task, memory, np.zeros((3, 3)))] == ["vector", "plan"]
+
+
+def watched():
+    """Two teams of one robot on a floor, for 4 and 2 steps of 2 s; the first sends a message in each step."""
+    seen = TeamWays()
+    seen.arena, seen.period = FLAT, 2.0
+    seen.ways = {"a": [np.array([[0.5 * step, 1.0, 0.0]]) for step in range(4)], "b": [np.zeros((1, 3))] * 2}
+    seen.sent = {"a": [SentMessage("map", np.full((2, 2), float(step))) for step in range(4)], "b": []}
+    seen.sent_counts = {"a": [1, 2, 3, 4], "b": [0, 0]}
+    return seen
+
+
+def test_a_film_shows_the_messages_of_the_last_seconds():
+    """Of 5 s, which are two steps of 2 s, rounded."""
+    seen = watched()
+    shown = [[one.ends[0, 0] for one in recent_messages(seen, "a", step)] for step in range(5)]
+    assert shown == [[0], [0, 1], [1, 2], [2, 3], [2, 3]]
+    assert recent_messages(seen, "b", 3) == []
+
+
+def test_a_film_of_teams_goes_on_until_the_last_team_ends(tmp_path):
+    """Eight times as fast as it was; moments differ, and a moment does not depend on those before it."""
+    seen, rows = watched(), [row("a", (1.0, 1.0, 2.0, 3.0)), row("b", (1.0, 1.0))]
+    film_teams("explore-v3", rows, seen, tmp_path / "teams.gif")
+    with Image.open(tmp_path / "teams.gif") as film:
+        times = []
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            times.append(film.info["duration"])
+    assert times == [250, 250, 250, 2000]
+    first, last = team_frames("explore-v3", rows, seen, np.array([0, 3]))
+    (again,) = team_frames("explore-v3", rows, seen, np.array([0]))
+    assert (first == again).all()
+    assert (first != last).any()
+    with pytest.raises(ValueError, match="no team has been watched"):
+        film_teams("explore-v3", rows, TeamWays(), tmp_path / "none.gif")

@@ -84,7 +84,8 @@ def teams(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Draw finds over time, paths and messages of world 0, to this .png, .pdf, .svg or .eps."
+            help="Draw finds over time, paths and messages of world 0, to this .png, .pdf, .svg or .eps, or "
+            "as a film, .gif."
         ),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
@@ -121,10 +122,12 @@ def _compare(
     from usarmjx.engines import choose_engine
     from usarmjx.plots.play import TeamWays, plot_teams
     from usarmjx.plots.style import check_figure
+    from usarmjx.plots.team_film import FILM, film_teams
     from usarmjx.train.evaluation import yardsticks
     from usarmjx.train.policies.sources import task_settings, usual_split
 
-    if out is not None:
+    film = out is not None and out.suffix.lower() == FILM
+    if out is not None and not film:
         check_figure(out)  # before minutes of play
     overrides, _ = task_settings(task, {}, pairs)
     played, seen = yardsticks.team_task(task, **overrides), TeamWays()
@@ -141,7 +144,7 @@ def _compare(
         setup = {"task": task, "split": split, "engine": how[1], "settings": pairs}
         _keep(json, setup, [_plain(row) for row in rows])
     if out is not None:
-        plot_teams(task, rows, seen, out)
+        (film_teams if film else plot_teams)(task, rows, seen, out)
         typer.echo(f"wrote {out}")
 
 

@@ -4,13 +4,14 @@
 # pyright: reportUnknownMemberType=false
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -232,21 +233,36 @@ def film_frames(shown: EpisodeRecording, frames: np.ndarray) -> Iterator[np.ndar
     for frame in frames.tolist():
         drawn = _draw(axes, shown, frame)
         axes.set_title(f"{shown.task}: {_caption(shown, frame)}", loc="left", fontsize=9)
-        figure.canvas.draw()
-        # A copy: the canvas draws the next picture into the same buffer.
-        yield np.array(figure.canvas.buffer_rgba())[..., :3]  # pyright: ignore[reportAttributeAccessIssue, reportUnknownArgumentType]
+        yield picture_of(figure)
         # The plan stays: it takes far longer to draw than what moves.
         for one in drawn:
             one.remove()
 
 
+def picture_of(figure: Figure) -> np.ndarray:
+    """Return what a figure shows now (height, width, 3); its canvas is that of Agg."""
+    figure.canvas.draw()
+    # A copy: the canvas draws the next picture into the same buffer.
+    pixels: np.ndarray = np.array(figure.canvas.buffer_rgba())  # pyright: ignore[reportAttributeAccessIssue, reportUnknownArgumentType]
+    return pixels[..., :3]
+
+
 def save_gif(shown: EpisodeRecording, path: Path, speedup: float = GIF_SPEEDUP) -> None:
     """Write a film as a GIF file, `speedup` times as fast as it was; the last moment stays for 2 s."""
-    count = min(MAX_FRAMES, len(shown.times))
-    frames = np.unique(np.linspace(0, len(shown.times) - 1, count).round().astype(int))
-    pictures = [Image.fromarray(pixels).quantize(64) for pixels in film_frames(shown, frames)]
-    # From the simulated times, as moments are left out of long films.
-    lasts = np.diff(shown.times[frames], append=shown.times[-1]) / speedup
+    frames = frames_of(len(shown.times))
+    write_gif(film_frames(shown, frames), shown.times[frames] / speedup, path)
+
+
+def frames_of(count: int) -> np.ndarray:
+    """Return the moments that a film shows of some, by index, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(MAX_FRAMES, count)).round().astype(int))
+
+
+def write_gif(frames: Iterable[np.ndarray], times: np.ndarray, path: Path) -> None:
+    """Write pictures (height, width, 3) as a GIF file, each from its time on [s]; the last stays for 2 s."""
+    pictures = [Image.fromarray(pixels).quantize(64) for pixels in frames]
+    # From the times, as moments are left out of long films.
+    lasts = np.diff(times, append=times[-1])
     # Browsers take less than 20 ms for a mistake, and show such pictures slowly.
     durations = [*(max(20, round(1000 * one)) for one in lasts[:-1]), 2000]
     pictures[0].save(
@@ -405,12 +421,14 @@ class TeamWays:
         period: Length of a step [s].
         sent: By team: messages that its robots chose, or the fixed protocol; of whole maps, which are sent
             over each link in each step, the links that began.
+        sent_counts: By team: number of `sent` by the begin of each step.
     """
 
     def __init__(self) -> None:
         self.arena: ArenaSpec | None = None
         self.ways: dict[str, list[np.ndarray]] = {}
         self.sent: dict[str, list[SentMessage]] = {}
+        self.sent_counts: dict[str, list[int]] = {}
         self.period = 0.0
         self._linked: dict[str, np.ndarray] = {}
 
@@ -420,8 +438,10 @@ class TeamWays:
             self.arena, self.period = env.batch.arena_of(state.batch, WORLD), env.period
         places = positions_of(env, state)[0]
         self.ways.setdefault(name, []).append(places)
+        sent = self.sent.setdefault(name, [])
         if isinstance(env.task, GoalTeam):
-            self.sent.setdefault(name, []).extend(self._sent_now(name, env, env.task, state, places))
+            sent.extend(self._sent_now(name, env, env.task, state, places))
+        self.sent_counts.setdefault(name, []).append(len(sent))
 
     def _sent_now(
         self, name: str, env: Env, task: GoalTeam, state: EnvState, places: np.ndarray
@@ -435,19 +455,24 @@ class TeamWays:
         return begun_links(task, env.scene, linked, before, places)
 
 
-def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
-    """Draw messages as lines from senders (dots) to receivers, a colour for each kind, with a legend."""
+def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> list[Artist]:
+    """Draw messages as lines from senders (dots) to receivers, a colour for each kind, with a legend.
+
+    Returns:
+        The drawn parts.
+    """
+    drawn: list[Artist] = []
     for number, kind in enumerate(SENT_KINDS):
         ends = [one.ends for one in sent if one.kind == kind]
         if not ends:
             continue
         colour, label = PALETTE[-1 - number], f"{len(ends)} {kind}"
         # Matplotlib draws each column as a line: (x or y, sender or receiver, message).
-        axes.plot(*np.stack(ends).transpose(2, 1, 0), color=colour, lw=0.5, alpha=0.5, zorder=7)
-        axes.plot(*np.stack(ends)[:, 0].T, ".", color=colour, ms=2.0, zorder=7, label=label)
+        drawn += axes.plot(*np.stack(ends).transpose(2, 1, 0), color=colour, lw=0.5, alpha=0.5, zorder=7)
+        drawn += axes.plot(*np.stack(ends)[:, 0].T, ".", color=colour, ms=2.0, zorder=7, label=label)
     if sent:
         # Above the plan, beside its title: inside it would cover walls.
-        axes.legend(
+        legend = axes.legend(
             loc="lower right",
             bbox_to_anchor=(1.0, 1.0),
             borderpad=0.0,
@@ -456,6 +481,8 @@ def draw_messages(axes: Axes, sent: Sequence[SentMessage]) -> None:
             handletextpad=0.0,
             columnspacing=0.5,
         )
+        drawn.append(legend)
+    return drawn
 
 
 def draw_finds(axes: Axes, rows: Sequence[TeamResult], period: float) -> None:
@@ -478,13 +505,19 @@ def draw_finds(axes: Axes, rows: Sequence[TeamResult], period: float) -> None:
 def draw_ways(axes: Axes, arena: ArenaSpec, way: Sequence[np.ndarray], name: str) -> None:
     """Draw an arena from above with the ways of a team's robots: from rings to dots."""
     draw_plan(axes, arena, words=False, starts=False)
-    places = np.stack(way)
+    draw_tracks(axes, way)
+    axes.set_title(name)
+
+
+def draw_tracks(axes: Axes, way: Sequence[np.ndarray]) -> list[Artist]:
+    """Draw the ways of a team's robots, from rings to dots; return what was drawn."""
+    places, drawn = np.stack(way), list[Artist]()
     for robot in range(places.shape[1]):
         colour = PALETTE[robot % len(PALETTE)]
-        axes.plot(places[:, robot, 0], places[:, robot, 1], color=colour, lw=0.9, zorder=8)
-        axes.plot(*places[0, robot, :2], "o", mfc="none", color=colour, zorder=9)
-        axes.plot(*places[-1, robot, :2], "o", color=colour, zorder=9)
-    axes.set_title(name)
+        drawn += axes.plot(places[:, robot, 0], places[:, robot, 1], color=colour, lw=0.9, zorder=8)
+        drawn += axes.plot(*places[0, robot, :2], "o", mfc="none", color=colour, zorder=9)
+        drawn += axes.plot(*places[-1, robot, :2], "o", color=colour, zorder=9)
+    return drawn
 
 
 def plot_teams(task: str, rows: Sequence[TeamResult], seen: TeamWays, out: Path) -> None:
