@@ -243,6 +243,21 @@ def test_a_replay_plays_the_same_episodes_to_the_bit(played):
     assert "no results of suite tiny on split test there" in missing.output
 
 
+def test_methods_that_are_played_at_once_into_one_folder_keep_their_results(played, tmp_path):
+    """The second begins when the first has planned its cells, and ends before it."""
+    suite, begun = load_suite(played[0]), []
+
+    def begin_other(line):
+        if not begun:
+            begun.append(line)
+            begun.extend(run_suite(suite, "validation", "other", ["random"], tmp_path, episodes=1))
+
+    (first,) = run_suite(suite, "validation", "planner", ["baseline"], tmp_path, say=begin_other, episodes=1)
+    _, second = begun
+    policies = [[one.settings["policy"] for one in read_result(file).cells] for file in (first, second)]
+    assert policies == [["baseline"], ["random"]]
+
+
 def test_the_hash_of_a_policy_is_that_of_its_weights(tmp_path):
     from tests.sweeps.conftest import weak
 

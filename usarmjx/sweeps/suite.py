@@ -359,7 +359,9 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
     origin = provenance()
     # Cells are kept by code and machine: results name one of each, so they hold no cell of another.
     kept = hashlib.sha256(json.dumps(origin, sort_keys=True).encode()).hexdigest()[:12]
-    place = folder / "cells" / f"{suite.name}-{split}-{kept}"
+    # A folder for each method, so that two can be played at once: a sweep's list of cells is one file.
+    apart = hashlib.sha256(method.encode()).hexdigest()[:12]
+    place = folder / "cells" / f"{suite.name}-{split}-{kept}-{apart}"
     found = run_sweep(spec, place, workers, say=say, stream=stream)
     if failed := [one for one in found.records if one.failed is not None]:
         raise UsageError(f"{len(failed)} of {len(spec.cells)} cells failed, the first: {failed[0].failed}")
