@@ -40,8 +40,18 @@ def time_to_score(curve: Curve, score: float) -> float | None:
     return float(curve.seconds[there[0]]) if there.size else None
 
 
+def _between_ends(lines: Sequence[object]) -> slice:
+    """Return which iterations of a run have times of their own; all but the first, or all, of a short run."""
+    if len(lines) > 2:
+        return slice(1, -1)
+    return slice(1, None) if len(lines) > 1 else slice(None)
+
+
 def training_speed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the speed of a run's iterations after the first, which compiles.
+    """Return the speed of a run's iterations between the first, which compiles, and the last.
+
+    Where a call that starts an iteration waits for the one before, a line has the time of the next iteration,
+    and the last line none: both ends would be wrong.
 
     Returns:
         `mean`: agent steps over seconds, with all that the training waits for. `median`: of the iterations.
@@ -50,10 +60,10 @@ def training_speed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     steps = np.diff([0, *(line["agent_steps"] for line in lines)])
     rates = np.array([line["steps_per_s"] for line in lines])
-    later = slice(1, None) if len(lines) > 1 else slice(None)
+    later = _between_ends(lines)
     seconds = float((steps / rates)[later].sum())
     # An iteration's line is written while the next one is at work: its own waits for checkpoint and log are
-    # in the line after it, so the sums are of all but the first line.
+    # in the line after it, so the first line's are not among the sums.
     waits: dict[str, float] = {}
     for line in list(lines)[later]:
         for reason, waited in line.get("waits", {}).items():
@@ -85,7 +95,7 @@ def train_record(
         UsageError: The folder is no run, or no episode has ended in it.
     """
     run, curve, lines = load_record(folder), curve_of_run(folder), read_lines(folder / "metrics.jsonl")
-    rates, speed = [line["steps_per_s"] for line in lines], training_speed(lines)
+    rates, speed = [line["steps_per_s"] for line in lines][_between_ends(lines)], training_speed(lines)
     header = record_header("train", note=note)
     usual = task_config(run.task, gpu=on_gpu(run.engine))
     changed = differences(usual, run.config, but=("total_steps", "num_worlds", "seed"))
@@ -98,7 +108,7 @@ def train_record(
             "seed": run.config.seed,
         },
         **_scene_beside(run, baselines),
-        "rates": {"training": spread_of("agent-steps/s", rates[1:] or rates) | {"rate": speed["mean"]}},
+        "rates": {"training": spread_of("agent-steps/s", rates) | {"rate": speed["mean"]}},
         "task": run.task,
         "engine": run.engine,
         "worlds": run.config.num_worlds,

@@ -67,6 +67,7 @@ LINES = (
     {"agent_steps": 200, "steps_per_s": 100.0, "waits": {"arenas": 0.0, "device": 0.9}},  # 1 s
     {"agent_steps": 300, "steps_per_s": 100.0, "waits": {"arenas": 0.0, "device": 0.9}},  # 1 s
     {"agent_steps": 400, "steps_per_s": 50.0, "waits": {"arenas": 1.2, "device": 0.6}},  # 2 s
+    {"agent_steps": 500, "steps_per_s": 1e6, "waits": {"arenas": 0.0, "device": 0.0}},  # was over already
 )
 
 
@@ -80,6 +81,7 @@ def test_the_speed_of_a_training_is_the_mean_with_all_waits():
 def test_records_of_older_runs_have_no_waits():
     lines = [{"agent_steps": line["agent_steps"], "steps_per_s": line["steps_per_s"]} for line in LINES]
     assert training_speed(lines) == {"mean": 75.0, "median": 100.0, "waits": {}}
+    assert training_speed(lines[:2]) == {"mean": 100.0, "median": 100.0, "waits": {}}
     assert training_speed(lines[:1]) == {"mean": 10.0, "median": 10.0, "waits": {}}
 
 
