@@ -1,5 +1,8 @@
 """The same functions and random numbers on NumPy as on JAX."""
 
+import gc
+import weakref
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +19,7 @@ from usarmjx.base.backend import (
     set_at,
     set_rows,
     stop_gradient,
+    traced_once,
     vmap,
     xp,
 )
@@ -220,3 +224,37 @@ def test_successive_rows_take_no_gather():
     rows = np.array([2, 3])
     whole = jax.make_jaxpr(lambda x: set_rows(x, (rows, get_rows(x, rows) + 1)))(jnp.zeros(6))
     assert {str(one.primitive) for one in whole.eqns}.isdisjoint({"gather", "scatter"})
+
+
+class Scale:
+    """What a function is traced for."""
+
+    def __init__(self, factor):
+        self.factor = factor
+
+
+def test_a_function_is_traced_once_for_each_owner_and_lets_it_go():
+    """By two programs, for each value of a static argument; on NumPy it is called as it is."""
+    calls = []
+
+    @traced_once("shift")
+    def scaled(scale, values, *, shift=0.0):
+        calls.append((scale.factor, shift))
+        return scale.factor * values + shift
+
+    def programs_of(scale):
+        return jax.jit(lambda x: scaled(scale, x)), jax.jit(lambda x: -scaled(scale, x))
+
+    values = np.arange(3, dtype=np.float32)
+    scales = [Scale(2.0), Scale(3.0)]
+    for sign in (0, 1):
+        for i, factor in enumerate((2.0, 3.0)):
+            found = programs_of(scales[i])[sign](values)
+            np.testing.assert_array_equal(found, (-1) ** sign * factor * values)
+    np.testing.assert_array_equal(scaled(scales[0], values, shift=1.0), 2.0 * values + 1.0)
+    assert calls == [(2.0, 0.0), (3.0, 0.0), (2.0, 1.0)]
+    with numpy_backend():
+        assert type(scaled(scales[0], values)) is np.ndarray
+    gone = weakref.ref(scales.pop(0))
+    gc.collect()
+    assert gone() is None

@@ -19,8 +19,10 @@ from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import wraps
+from inspect import Signature, signature
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeAlias, TypeVar, cast
+from weakref import WeakKeyDictionary, ref
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +33,7 @@ from usarmjx.base import numpy_arrays
 from usarmjx.base.errors import UsageError
 
 T = TypeVar("T")
+Owner = TypeVar("Owner")
 Params = ParamSpec("Params")
 Array: TypeAlias = jax.Array | np.ndarray
 """NumPy or JAX array; a function that accepts both takes the array module as an argument where it matters."""
@@ -215,6 +218,49 @@ def jit(function: Callable[Params, T], static_argnames: tuple[str, ...] = ()) ->
         return function(*args, **kwargs) if _on_numpy.get() else compiled(*args, **kwargs)
 
     return run
+
+
+def traced_once(
+    *static_argnames: str,
+) -> Callable[[Callable[Concatenate[Owner, Params], T]], Callable[Concatenate[Owner, Params], T]]:
+    """Decorate a function to be traced once for each owner, its first argument, by all programs that call it.
+
+    On NumPy it is called directly. Owners are compared by identity. The result must not refer to the owner,
+    which would then never be deleted.
+
+    Args:
+        static_argnames: Names of the other arguments that are no arrays.
+    """
+
+    def decorate(
+        function: Callable[Concatenate[Owner, Params], T],
+    ) -> Callable[Concatenate[Owner, Params], T]:
+        programs: WeakKeyDictionary[Owner, Callable[..., T]] = WeakKeyDictionary()
+
+        def of(owner: Owner) -> Callable[..., T]:
+            # As a static argument, or by a strong reference, it would live as long as its program.
+            known = cast("Callable[[], Owner]", ref(owner))
+
+            def owned(*args: Params.args, **kwargs: Params.kwargs) -> T:
+                return function(known(), *args, **kwargs)
+
+            # JAX looks for the names of static arguments there.
+            parameters = list(signature(function).parameters.values())[1:]
+            owned.__signature__ = Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+            owned.__name__ = function.__name__
+            return jax.jit(owned, static_argnames=static_argnames)
+
+        @wraps(function)
+        def run(owner: Owner, *args: Params.args, **kwargs: Params.kwargs) -> T:
+            if _on_numpy.get():
+                return function(owner, *args, **kwargs)
+            if owner not in programs:
+                programs[owner] = of(owner)
+            return programs[owner](*args, **kwargs)
+
+        return run
+
+    return decorate
 
 
 def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # noqa: ANN401 - as JAX has it

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.backend import Array, ArrayLike, Part, named_scope, on_numpy, set_rows, xp
+from usarmjx.base.backend import Array, ArrayLike, Part, named_scope, on_numpy, set_rows, traced_once, xp
 from usarmjx.base.rotations import parts, quat_times
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import empty_inboxes
@@ -56,6 +56,7 @@ def init_world(
     return reset(scene, world, arenas, shuffle=shuffle)
 
 
+@traced_once("shuffle")
 @named_scope("reset")
 def reset(
     scene: Scene, world: World, arenas: ArenaState | None = None, *, shuffle: bool = False

@@ -12,7 +12,18 @@ import jax
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.backend import Array, Part, get_rows, known_all, named_scope, on_numpy, set_rows, vmap, xp
+from usarmjx.base.backend import (
+    Array,
+    Part,
+    get_rows,
+    known_all,
+    named_scope,
+    on_numpy,
+    set_rows,
+    traced_once,
+    vmap,
+    xp,
+)
 from usarmjx.base.clock import Clock
 from usarmjx.base.nodes import Node
 from usarmjx.comms.links import Links
@@ -321,6 +332,7 @@ def powered(scene: Scene, world: World, group: RobotGroup, state: GroupState) ->
     return state.active & ~state.drowned & (group.robot.battery_life - age > 0)
 
 
+@traced_once("solved")
 @named_scope("compute_inputs")
 def compute_inputs(
     scene: Scene, world: World, physics: PhysicsState, moved: GeomPoses | None = None, *, solved: bool = True

@@ -1,6 +1,8 @@
 """Only worlds that are done begin anew, a few at a time: as if all had been computed, bit for bit."""
 
+import gc
 import itertools
+import weakref
 from dataclasses import replace
 from functools import partial
 
@@ -74,6 +76,16 @@ def test_what_sensors_read_is_traced_once_for_all_that_need_it(monkeypatch):
     env._restart_some.trace(now, None)
     env._evaluate.trace(blank.task_state, worlds, physics, worlds.faults)
     assert len(traced) == 1
+
+
+def test_a_scene_goes_with_its_environment():
+    """Programs that are traced once for a scene do not keep it."""
+    env = usarmjx.make("drive-to-goal", engine="c", ranges=())
+    env.reset()
+    scene = weakref.ref(env.scene)
+    del env
+    gc.collect()
+    assert scene() is None
 
 
 def test_first_episodes_begin_as_those_of_the_batch(env):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base import random
-from usarmjx.base.backend import Array, jax_entry_points
+from usarmjx.base.backend import Array, jax_entry_points, traced_once
 from usarmjx.base.compilation import NOTICE, enable_cache_after_import
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program, open_program_cache
@@ -44,12 +44,18 @@ SCATTER_MIN_SIZE = 1024
 written again: a GPU has one kernel for many such, and for each that writes rows one of its own."""
 
 
-@partial(jax.jit, static_argnums=0)  # so that it is traced once for all the functions that call it
-def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, TaskView]:
-    """Read sensors and links."""
+@traced_once()
+def _read(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
+    """Read sensors and links; return also the readings per group and sensor."""
     world, readings = observe(scene, world, physics)
     if scene.radio is not None:
         world = world.replace(links=update_links(scene, world, physics))
+    return world, readings
+
+
+def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World, TaskView]:
+    """Read sensors and links."""
+    world, readings = _read(scene, world, physics)
     return world, TaskView(world=world, physics=physics, readings=readings, scene=scene)
 
 
@@ -75,6 +81,7 @@ def finite_or_zero(values: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(values), values, 0.0)
 
 
+@traced_once("task")
 def start_episode(
     scene: Scene, task: Task, world: World, physics: PhysicsState
 ) -> tuple[World, EpisodeStart]:
