@@ -115,6 +115,7 @@ def requirements() -> tuple[list[str], dict[str, list[str]]]:
     """Return the packages that usarmjx needs, and those of each extra for users."""
     try:
         lines = importlib.metadata.requires("usarmjx") or []
+    # A source tree that is not installed has no metadata to read.
     except importlib.metadata.PackageNotFoundError:
         lines = []
     needed: list[str] = []
@@ -338,7 +339,9 @@ def try_client() -> Iterator[Finding]:
         _, at, turn = client.start_poses()[0]
         client.init(f"USARBot.{ROBOT}", "Patient", at, turn)
         way = _drive(client)
+        # Else the robot goes on towards the wall while the scan below is taken.
         client.drive(0.0, 0.0)
+        # The wall stands across the way, so its nearest point lies straight ahead.
         nearest = min(_next(client, "RangeScanner").scan())
     took = f"{time.perf_counter() - began:.1f} s"
     yield Finding(
@@ -354,6 +357,7 @@ def _drive(client: "UsarsimClient") -> float:
     """Drive a robot ahead; return how far it has come [m], by its reports of where it truly is."""
     client.drive(left=WHEEL_SPEED, right=WHEEL_SPEED)
     way, begun = 0.0, None
+    # A robot that stands still reports for ever: the client's limit for one message would never end this.
     deadline = time.monotonic() + REPORT_LIMIT
     while way < DISTANCE and time.monotonic() < deadline:
         x, y, _ = _next(client, "GroundTruth").pose()

@@ -148,6 +148,7 @@ def view(
             typer.echo(f"wrote {html}, {html.stat().st_size / 1e6:.1f} MB")
             return
         with viewer_socket(HOST, viewer_port, 0, True) as bound:
+            # None is for servers without a page; this command always has one.
             assert bound is not None
             page, timeline = recording_page(source, viewer_server(bound, HOST))
             # Ctrl-C is the way to end a page that is looked at.
@@ -198,6 +199,7 @@ def replay(
             for line in filter(None, (result.difference, result.note)):
                 typer.echo(f"{which}{line}")
             differ |= bool(result.difference)
+        # After all worlds, so that each one's first difference is printed.
         if differ and check:
             raise typer.Exit(1)
 

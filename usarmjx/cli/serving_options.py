@@ -630,6 +630,7 @@ class Host:
 
     def warn(self, ports: "OpenPorts") -> None:
         """Say what strangers could do here, if they can reach it."""
+        # As bound: --host may be a name, which does not show whether it leads to the loopback.
         warn_if_open(ports.bound[0]["--port"].getsockname()[0], self.listen.rules)
 
     def prepare(self, ini: Sequence[Path] = ()) -> "Services":
@@ -734,6 +735,7 @@ class Ros2Options:
         from usarmjx.server.ros2.server import Ros2Server, Ros2Settings
 
         del ini
+        # DDS asks for no token and no address: these options would promise a guard that is not there.
         if self.ros2_network and (listen.rules.token or listen.rules.allow):
             raise UsageError("--ros2-network lets everybody in: it has neither --token nor --allow")
         by_environment = "zenoh" if os.environ.get("RMW_IMPLEMENTATION") == ZENOH_RMW else "dds"

@@ -111,6 +111,7 @@ class ClippedTraining:
 
         try:
             self._clips.inspect(inputs)
+        # A full disk must not end a training for the sake of a picture.
         except (OSError, WriteError) as error:
             say(f"no clips of iteration {inputs.iteration}: {error}; training goes on")
 

@@ -82,6 +82,7 @@ class WorldMessages:
         try:
             file.write(self._channel("inputs"), at, given)
         except UsageError as error:
+            # An input that cannot be written ends the part that can be replayed, not the recording.
             file.write(self._channel("inputs"), at, Interrupted(step=given.step, reason=str(error)))
 
     def state(self, state: StepState, file: RecordingFile) -> None:
@@ -96,6 +97,7 @@ class WorldMessages:
     def lines(self, who: tuple[str, str, bool], data: bytes, at: float, file: RecordingFile) -> None:
         """Write lines of the protocol."""
         peer, robot, sent = who
+        # Peers may send any bytes: the recording must survive those that are no text.
         text = data.decode("utf-8", "replace")
         file.write(self._channel("lines"), at, {"peer": peer, "robot": robot, "sent": sent, "text": text})
 

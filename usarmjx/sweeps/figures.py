@@ -233,6 +233,7 @@ def _profile_panel(panel: Axes, found: StoredSweep, task: str, policies: Sequenc
         panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
     panel.set_xlabel("score above")
     panel.set_ylabel("share of episodes")
+    # A little above 1, so that the frame does not cover a line at 1.
     panel.set_ylim(0.0, 1.02)
 
 

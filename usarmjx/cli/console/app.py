@@ -157,6 +157,7 @@ class KeyPad(Static, can_focus=True):
 
     def on_leave(self) -> None:
         """The mouse has gone elsewhere."""
+        # Else the camera would turn when the mouse comes back at another edge.
         self._mouse = None
 
 
@@ -226,6 +227,7 @@ def range_bars(message: Message, longest: float, width: int) -> list[Bar]:
         ranges = to_vector(whole)[::-1]
         # The nearest echo of each cell: a mean would hide an obstacle.
         cells = [min(part) for part in _split(ranges, width) if part]
+        # The longest distance itself would be one level beyond the last.
         drawn = "".join(LEVELS[min(int(len(LEVELS) * cell / longest), len(LEVELS) - 1)] for cell in cells)
         return [(message.get("Name"), drawn, _color(min(ranges), longest))]
     bars: list[Bar] = []

@@ -241,6 +241,7 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
             if (*owner, point) not in known:
                 there = f"{point_name(owner)} has {_extent(numbers, (*owner, point))}"
                 faults.append((where, f"{kind} at {point_name((*owner, point))}: {there}"))
+            # The type tells the kind: a tuple is an exit's destination, a whole number a checkpoint's number.
             if isinstance(other, tuple) and other not in known:
                 there = f"{point_name(other[:2])} has {_extent(numbers, other)}"
                 faults.append((where, f"exit to {point_name(other)}: {there}"))
@@ -253,6 +254,7 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
 
 
 def _wrong_figures(owner: tuple[int, int], part: Lane | Zone | Spot) -> Iterator[Fault]:
+    # A spot is exactly its mouth and its parking position; of lanes and perimeters one point is enough.
     points, fewest = _points(part), 2 if isinstance(part, Spot) else 1
     if len(points) < fewest or (isinstance(part, Spot) and len(points) > fewest):
         yield ("points", owner), f"{point_name(owner)} has {len(points)} points; expected {fewest}"
@@ -316,6 +318,7 @@ def _strangers(mission: Mission, network: RouteNetwork | None) -> Iterator[Fault
     """Iterate over references of a mission that its network lacks."""
     known = network.checkpoints() if network else {}
     there = _listed(known) if network else "1 and up"
+    # Zones are numbered after the last segment, so one range covers both.
     areas = len(network.segments) + len(network.zones) if network else None
     for checkpoint in mission.checkpoints:
         if checkpoint < 1 or (network and checkpoint not in known):

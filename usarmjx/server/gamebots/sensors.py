@@ -384,6 +384,7 @@ def geometry(
                     kind=robot.drive.vehicle,
                     name=robot.name,
                     dimensions=robot.dimensions,
+                    # Mounts and tips are described in USARSim's axes already; this one is computed in ours.
                     cog=flip_wire_vector(plan.centre_of_mass),
                     wheel_radius=robot.wheel_radius,
                     wheel_separation=robot.wheel_separation,

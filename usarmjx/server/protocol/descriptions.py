@@ -179,6 +179,7 @@ def conf_effecters(
 
 
 def _field(type_name: str, key: str, value: str | bool | int | float) -> str:
+    # Whole numbers, True and False have no decimals on the wire.
     if isinstance(value, float):
         short = (type_name.lower(), key.lower()) in _TWO_DECIMAL_FIELDS
         return two_decimals(value) if short else four_decimals(value)
@@ -264,6 +265,7 @@ def conf_mispkg(
             segments += [
                 ("Link", str(link.link)),
                 ("JointType", link.joint),
+                # Two decimals for all numbers of a link, as captured lines have them.
                 ("MaxSpeed", two_decimals(link.max_speed)),
                 ("MaxTorque", two_decimals(link.max_torque)),
                 ("MinRange", two_decimals(link.min_range)),

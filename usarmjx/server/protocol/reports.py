@@ -235,6 +235,7 @@ def sen_scanner_3d(time: float | None, scan: RangeScan3D) -> Message:
 
 def sen_lidar(time: float | None, scan: RangeScan3D, intensities: Sequence[float]) -> Message:
     """Return a sweep of a "Lidar": a 3D range scanner's line with echo intensities; our own addition."""
+    # The pair before the name is the type, which becomes Lidar; Time stands before it only if it is sent.
     (*head, (_, _), name, resolution, fov, ranges) = sen_scanner_3d(time, scan).segments
     echoes = ("Intensity", four_decimals_list(intensities))
     return Message("SEN", (*head, ("Type", "Lidar"), name, resolution, fov, ranges, echoes))

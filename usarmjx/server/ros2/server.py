@@ -189,6 +189,7 @@ def parameter_value(value: bool | int | float | str | None) -> RosMessage:
 
 
 def _type_of(value: bool | int | float | str) -> int:
+    # First, as True and False are whole numbers in Python, too.
     if isinstance(value, bool):
         return BOOL
     return INTEGER if isinstance(value, int) else DOUBLE if isinstance(value, float) else STRING

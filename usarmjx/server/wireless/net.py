@@ -100,6 +100,7 @@ class DataLinkServer:
     def poll(self) -> None:
         """Cut the links of robots that have left the world."""
         self._server.poll_presence()
+        # To cut only closes the streams: the task that carries the link removes it from the links later.
         for link in self._links:
             if not all(self._radio.has_robot(name) for name in link.endpoints.names):
                 link.cut()
@@ -107,6 +108,7 @@ class DataLinkServer:
     def stop(self) -> None:
         """Cut all links."""
         for link, task in self._links.items():
+            # Aborted, as a graceful close would wait for a peer that reads no more.
             for side in link.sides:
                 side.writer.transport.abort()
             task.cancel()
@@ -158,6 +160,7 @@ class DataLinkServer:
                     if messages and not reaches(self._radio, *link.endpoints.names):
                         log.info("%s and %s do not reach each other any more", *link.endpoints.names)
                         break
+                    # The other direction may have cut the link while this one waited for its turn.
                     if there.writer.is_closing():
                         break
                     there.writer.write(b"".join(messages))
@@ -366,6 +369,7 @@ class ProxyServer:
         try:
             while data := await reader.read(DATA_READ_SIZE):
                 async with self._throttle:
+                    # A lost signal may have cut the connection during the wait for the turn.
                     if writer.is_closing():
                         break
                     writer.write(data)

@@ -202,6 +202,7 @@ def suite_memory(robots: int) -> SensorMemory:
 
 def _further(group: RobotGroup, robot: RobotSpec | None) -> RobotGroup:
     """Return a group with the sensors of its class that it lacks, and no others."""
+    # In lower case, as types and names match without case on the wire.
     had = {(mount.kind.lower(), mount.name.lower()) for mount in group.robot.sensors}
     missing = [
         mount

@@ -290,7 +290,9 @@ class ServedWorld(ABC):
             (KRobot.uc).
         """
         robot.fovs[camera] = float(robot.cameras[camera].clamp(np.array(fov)))
+        # A robot's state has one array for all its cameras, so all of them are written.
         self.edit(robot, fov=np.array(robot.fovs, np.float32))
+        # An angle that was granted is kept in single precision, which changes its last digits.
         return abs(robot.fovs[camera] - fov) < 1e-6
 
     def viewpoint(self, request: CameraRequest | ViewpointRequest) -> Viewpoint:
@@ -321,6 +323,7 @@ class ServedWorld(ABC):
             UnknownNameError: A key of DRIVE or a joint that it does not have; lists those it has.
         """
         with numpy_backend():
+            # On NumPy: JAX would compile at a robot's first command, while all clients of the world wait.
             self.set_command(robot, update_command(robot.plan, robot.command, update))
 
     def setup(self) -> WorldSetup:

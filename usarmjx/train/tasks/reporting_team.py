@@ -66,6 +66,7 @@ class ReportingTeam(GoalTeam):
         before, things = memory.extra.achieved, self.things(view, memory)
         # An arena without things scores 0, not NaN.
         number = jnp.maximum(things.sum(), 1)
+        # Kept: a square that the base's map loses and shows again must not pay twice.
         has = before | (things & self.at_base(view, memory))
         news, point = has & ~before, 100.0 * worth / number
         return Progress(
@@ -268,6 +269,8 @@ class SearchBase(ReportingTeam):
         allowed = memory.reachable & ~memory.extra.looked if self.oracle else memory.reachable
         gap = jnp.where(allowed, gap, jnp.inf)
         nearest = gap.min((1, 2), keepdims=True)
+        # Equal to the last bit, as the least gap is one of them. Where no square is allowed all gaps are
+        # infinite and equal, too: the range excludes these.
         return (gap == nearest) & (nearest < LOOK_RANGE) & victims_there(view)[:, None, None]
 
     def tries(self, view: TaskView, memory: TeamMemory) -> jax.Array:
