@@ -437,17 +437,21 @@ def _runaway_limits(scene: Scene) -> np.ndarray:
 @named_scope("finish_step")
 def finish_step(scene: Scene, world: World, physics: PhysicsState, overflow: Array) -> tuple[World, Array]:
     """Count the step and its faults; return also whether the physics is still finite ()."""
-    # All in one, and all groups in one: a GPU has a kernel for each reduction.
-    finite = xp.isfinite(xp.concatenate([physics.qpos, physics.qvel, physics.act])).all()
-    fast = xp.zeros((), bool)
+    # All in one, and all groups in one: a GPU has a kernel for each reduction. So each number gets a grade,
+    # and the highest counts: 2 of a number that is not finite, 1 of a robot that runs away.
+    values = xp.concatenate([physics.qpos, physics.qvel, physics.act])
+    grades = [xp.where(xp.isfinite(values), 0, 2)]
     if scene.groups:
         active = xp.concatenate([state.active for state in world.groups])
-        fast = (active & (_chassis_speeds(scene, physics) > _runaway_limits(scene))).any()
+        # NaN compares false, and an infinite speed is not finite already.
+        fast = active & (_chassis_speeds(scene, physics) > _runaway_limits(scene))
+        grades.append(xp.where(fast, 1, 0))
+    highest = xp.concatenate(grades).max(initial=0)
+    finite = highest < 2
     faults = world.faults.replace(
         not_finite=world.faults.not_finite + ~finite,
         overflow=world.faults.overflow + (overflow != 0),
-        # NaN compares false, and an infinite speed is counted as not finite already.
-        runaway=world.faults.runaway + (fast & finite),
+        runaway=world.faults.runaway + (highest == 1),
     )
     return world.replace(step=world.step + 1, faults=faults), finite
 
