@@ -321,6 +321,15 @@ def _with_key_names(data: Any) -> Any:  # noqa: ANN401 - whatever YAML has
     return key_name(data) if isinstance(data, str) else data
 
 
+def _cells_name(suite: BenchmarkSuite, split: str, method: str, origin: Mapping[str, Any]) -> str:
+    """Return the name of the folder in which a method's cells of a suite are kept."""
+    # Cells are kept by code and machine: results name one of each, so they hold no cell of another.
+    kept = hashlib.sha256(json.dumps(origin, sort_keys=True).encode()).hexdigest()[:12]
+    # A folder for each method, so that two can be played at once: a sweep's list of cells is one file.
+    apart = hashlib.sha256(method.encode()).hexdigest()[:12]
+    return f"{suite.name}-{split}-{kept}-{apart}"
+
+
 def run_suite(  # noqa: PLR0913 - all but four may be left out
     suite: BenchmarkSuite,
     split: str,
@@ -357,11 +366,7 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
     """
     spec = suite.spec(split, method, runs, **common)
     origin = provenance()
-    # Cells are kept by code and machine: results name one of each, so they hold no cell of another.
-    kept = hashlib.sha256(json.dumps(origin, sort_keys=True).encode()).hexdigest()[:12]
-    # A folder for each method, so that two can be played at once: a sweep's list of cells is one file.
-    apart = hashlib.sha256(method.encode()).hexdigest()[:12]
-    place = folder / "cells" / f"{suite.name}-{split}-{kept}-{apart}"
+    place = folder / "cells" / _cells_name(suite, split, method, origin)
     found = run_sweep(spec, place, workers, say=say, stream=stream)
     if failed := [one for one in found.records if one.failed is not None]:
         raise UsageError(f"{len(failed)} of {len(spec.cells)} cells failed, the first: {failed[0].failed}")
