@@ -85,6 +85,8 @@ def _with_roster(
             rest.append(word)
     if not (counts or kinds):
         return rest
+    # The last class counts, as the parser takes the last value of an option that is not repeatable. A colon
+    # with no count behind it is no roster, and some commands have no count of their own.
     rosters = [f"{(kinds or [kind])[-1]}:{number}".rstrip(":") for number in counts or [count]]
     told = f"{old[0]} is" if len(old) == 1 else f"{' and '.join(old)} are"
     tell(f"{told} --roster now: --roster {' --roster '.join(rosters)}")
@@ -226,6 +228,7 @@ class RootCommand(LazyGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
         """Parse what was typed."""
+        # Before the parser: it knows only that there is no such command.
         if args and args[0] in NO_COMMANDS:
             say(f"there is no command {args[0]}: {NO_COMMANDS[args[0]]}")
             raise typer.Exit(BAD_INPUT)
@@ -259,6 +262,7 @@ def root(
     ] = False,
 ) -> None:
     """USARSim rebuilt as a GPU-batched simulator of multi-robot swarms."""
+    # The callback of the option has done its work while the line was parsed.
     del version
 
 

@@ -312,6 +312,7 @@ def gallery(out: OutFolderOption = None, old_out: OldOutArgument = None) -> None
         for write, name, shown in (
             (plan_sheet, "arenas-plan.png", arenas),
             (view_sheet, "arenas-view.png", arenas),
+            # A fixed seed: pictures of the documents change only where the generators do.
             (both_sheet, "generated.png", [make(kind, seed=7) for kind in KINDS.names()]),
         ):
             write(shown, where / name)

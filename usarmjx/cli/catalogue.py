@@ -293,6 +293,7 @@ def robots_with(kind: str) -> str:
 
 def sensors_table() -> str:
     """Return a Markdown page of all types of sensors: what they do, their options, their messages."""
+    # The manual's types in its order; types that a program has registered come behind them.
     kinds = [kind for kind in SECTIONS if kind in SENSORS]
     kinds += [kind for kind in SENSORS.names() if kind not in kinds]
     rows = list[Sequence[object]]()

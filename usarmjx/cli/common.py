@@ -38,6 +38,7 @@ from usarmjx.cli.known_names import (
     full_name,
 )
 
+# 130 is 128 plus the number of SIGINT, as shells report a process that Ctrl-C has ended.
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 """Exit codes beside 0: what was tried did not come out well; it could not be tried as asked for; Ctrl-C."""
 
@@ -54,6 +55,7 @@ class ErrorExit:
         # `__enter__` is called here: the filters must hold until `__exit__`, over the caller's block.
         self._warnings = warnings.catch_warnings()
         self._warnings.__enter__()
+        # Python hides deprecations outside of the main module and repeats none: a user must see each.
         warnings.simplefilter("always", RenamedSettingWarning)
         # Other warnings keep the form that Python, or pytest, gives them.
         usual = warnings.showwarning
@@ -110,6 +112,7 @@ def unwinds_on_signals(patience: float = 0.0, kept: str = "") -> Generator[None]
         try:
             yield
         except SystemExit as end:
+            # `StopSignals` leaves with 128 plus the number of the signal; any other status is no signal's.
             for number in heard:
                 if end.code == 128 + number:
                     with suppress(OSError):
@@ -252,6 +255,7 @@ def read_size(text: str) -> tuple[int, int]:
         UsageError: It is not of that form.
     """
     columns, _, rows = text.partition("x")
+    # Not int() alone, which also takes signs, blanks and underscores.
     if not (columns.isdecimal() and rows.isdecimal()):
         raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
     return int(columns), int(rows)
@@ -332,6 +336,7 @@ class CompilationWatch:
     ) -> None:
         self._say, self._at_work, self._interval = say, at_work, interval
         self._compiling: set[int] = set()  # threads in which XLA may be at work
+        # The last event lies far back, so that the first one always begins an interval.
         self._begun, self._last, self._next = 0.0, -1e9, FIRST
         self._is_over = False  # an end was reported
         # JAX calls its listeners in the threads that compile, the watch looks from its own.
@@ -372,6 +377,7 @@ class CompilationWatch:
                     # To a whole multiple of the interval, so that lines keep their rhythm after a long step.
                     self._next = length - length % self._interval + self._interval
             elif self._next > FIRST:
+                # Only where a line has said before that it compiles: short compilations pass in silence.
                 self._say(f"compiled, {length:.0f} s")
                 self._next, self._is_over = FIRST, True
 
@@ -446,6 +452,7 @@ def _watch(tell: Callable[[str], None], interval: float) -> None:
         watch.heard(event, duration_secs, time.monotonic(), threading.get_ident())
 
     monitoring.register_event_duration_secs_listener(hear)
+    # Events come only at the end of a step, so the clock alone shows that a long one goes on.
     while True:
         time.sleep(0.5)
         watch.look(time.monotonic())

@@ -115,6 +115,7 @@ def clearance(pose: np.ndarray, half: tuple[float, float], boxes: np.ndarray) ->
 
 def _overlap(hull: np.ndarray, corners: np.ndarray, turn: np.ndarray) -> bool:
     """Return whether no side of either rectangle separates the hull from some box."""
+    # Two rectangles are apart if and only if the direction of a side of one of them separates them.
     apart = np.zeros(len(corners), bool)
     for axis in (*np.eye(2), *turn):
         ours, theirs = hull @ axis, corners @ axis
@@ -169,6 +170,7 @@ def running_server(errors: Path, console: Console) -> Generator[int]:
         DemoError: It does not start or does not stop as it should.
     """
     command = [sys.executable, "-m", "usarmjx", "serve", "--worlds", str(WORLDS), "--instance", "0"]
+    # Port 0 is any free one, and factor 0 means no waiting: neither a second server nor the clock disturbs.
     command += ["--host", "127.0.0.1", "--port", "0", "--engine", "auto", "--realtime-factor", "0"]
     command += ["--no-wireless", "--no-images"]  # it needs neither, and the usual ports may be taken
     with writing(errors):
@@ -179,6 +181,7 @@ def running_server(errors: Path, console: Console) -> Generator[int]:
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,
+            # From the root of a checkout the module is found without an installation.
             cwd=ROOT,
             env={**os.environ, **pipe.settings},
             pass_fds=pipe.inherited,
@@ -190,6 +193,7 @@ def running_server(errors: Path, console: Console) -> Generator[int]:
                 port = _port_of(process, errors)
             yield port
         except BaseException:
+            # Ctrl-C included: the server must not outlive this process.
             process.kill()
             process.wait()
             raise
@@ -250,6 +254,7 @@ def run_controller(port: int, seconds: float, log: Path, console: Console) -> No
             task = progress.add_task("drive", total=seconds)
             for line in process.stdout:
                 if found := SIMULATED.match(line):
+                    # The last report may come after the end: the bar stops there.
                     progress.update(task, completed=min(float(found.group(1)), seconds))
             # The standard output is read to its end above: this collects the errors and the status.
             _, complaint = process.communicate()
@@ -260,6 +265,7 @@ def run_controller(port: int, seconds: float, log: Path, console: Console) -> No
         process.kill()  # does nothing when it has ended
         process.wait()
     if process.returncode:
+        # A process that the watchdog has killed gives no reason.
         reason = complaint.strip() or "it was stopped because it took too long"
         raise DemoError(f"the controller ended with status {process.returncode}: {reason}")
 

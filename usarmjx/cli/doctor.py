@@ -153,6 +153,7 @@ def check_devices() -> Iterator[Finding]:
 
 def has_nvidia() -> bool:
     """Return whether there is an NVIDIA GPU's driver."""
+    # The driver, not JAX: an installation of JAX without CUDA sees no GPU at all.
     return shutil.which("nvidia-smi") is not None or Path("/proc/driver/nvidia/version").exists()
 
 
@@ -333,6 +334,7 @@ def try_client() -> Iterator[Finding]:
     wall = Shape(kind="box", size=(thickness, 2.0, 0.5), at=where, surface="wall")
     with (
         contextlib.redirect_stdout(io.StringIO()),  # of what a server says
+        # A free port and no waiting for the clock: servers of the user may run beside this one.
         serve(_room(wall), port=0, host=HOST, realtime_factor=0.0) as served,
         UsarsimClient(HOST, served.port, timeout=REPORT_LIMIT) as client,
     ):

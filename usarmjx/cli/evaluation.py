@@ -140,6 +140,7 @@ def _compare(
     if line := yardsticks.shares(rows):
         typer.echo(line)
     if json is not None:
+        # The file names the split that was played, also where none was typed.
         split = split or usual_split(task, overrides)
         setup = {"task": task, "split": split, "engine": how[1], "settings": pairs}
         _keep(json, setup, [_plain(row) for row in rows])

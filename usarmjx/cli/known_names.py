@@ -131,6 +131,7 @@ def full_name(kind: str, name: str) -> str:
 
 def _may_be_new(kind: str, name: str) -> bool:
     """Return whether a file, a program or a source that is newer than the table may have a name."""
+    # A suffix is enough: the reader of the file says better why it cannot be read.
     if kind in FROM_FILES and (Path(name).suffix or Path(name).is_file()):
         return True
     if kind == "robot" and any(search_path()):
@@ -257,6 +258,7 @@ def registered_names() -> dict[str, list[str]]:
 def names_of(kind: str) -> list[str]:
     """Return the names of a kind from the file, after making it if there is none of the package as it is."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "usarmjx"
+    # With the fingerprint in the name, two versions of the package do not replace each other's file.
     file = folder / f"names-{_fingerprint()}.json"
     # The reader of other JSON files takes a tenth of a second to import, at each press of a key.
     with suppress(OSError, ValueError):
@@ -267,6 +269,7 @@ def names_of(kind: str) -> list[str]:
     try:
         names = _asked()
     except (OSError, ValueError, subprocess.SubprocessError):
+        # No completion is better than a traceback in the line that is being typed.
         return []
     with suppress(OSError, WriteError):  # a shell completes without the file, too, only slower
         folder.mkdir(parents=True, exist_ok=True)

@@ -51,6 +51,7 @@ def import_benchmarks(name: str) -> ModuleType:
 def needs_checkout(name: str, summary: str) -> Any:  # noqa: ANN401 - click's command, or typer's own copy
     """Return a command that takes any words and ends with the line of `import_benchmarks`."""
     stub = typer.Typer(add_completion=False)
+    # The words are for a command that is not here: the parser must not refuse them first.
     anything = {"allow_extra_args": True, "ignore_unknown_options": True}
 
     @stub.command(name, help=f"{summary} Needs a checkout.", context_settings=anything)

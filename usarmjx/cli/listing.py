@@ -141,6 +141,7 @@ def list_everything(
             _show_card(what, card)
             return
         announce("reading the lists ...")
+        # Before the listings are made: they show what is registered by then.
         add_robots(robot)
         configure_from(ini, uu_per_metre)
         from usarmjx.cli.tables import LISTINGS

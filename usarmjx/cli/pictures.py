@@ -41,6 +41,7 @@ def portraits(
         old = Path(named.pop(0)) if out is None and named and named[0].lower().endswith(".png") else None
         where = chosen_out(out, old)
         named += robot or ()
+        # Before JAX is imported: a misspelt name is refused at once.
         for name in named:
             check_name("robot", name)
         announce("drawing robots ...")

@@ -72,6 +72,7 @@ def play(
 ) -> None:
     """Show a policy at work in one world: draw an episode, show it in a browser, or serve it."""
     with ErrorExit():
+        # A run that is followed may not have begun: its folder need not be there yet.
         if not served.follow:
             driver.check()
         if driver.print_config:
@@ -90,6 +91,7 @@ def play(
             run=run,
             viewer=viewer,
             view=view or viewer.viewer_port is not None,
+            # Without clients of the protocol nobody hears the radio or asks for pictures.
             services=(radio, images, ros, ros2) if serve else (ros, ros2),
         )
         with StopSignals() as signals, host.ports() as ports:
@@ -117,6 +119,7 @@ def _draw_episode(
     announce("building the world that the policy drives ...", quickly=engine == "c", engines=[engine])
     from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
+    # Before the worlds are built, which takes much longer than this look at the name.
     check_suffix(out)
     env, policy = driver.env(driver.source(), 1, engine)
     with recorded_episode(env, record, driver.seed) as watch:

@@ -167,6 +167,7 @@ def rendered(file: Path, period: float | None, world: int | None = None) -> "Ite
     from usarmjx.plots.films.picture import camera_shots
     from usarmjx.recording.reader import Recording
 
+    # A reader may stop in the middle: the file closes with the generator.
     with contextlib.closing(Recording(file)) as recording:
         yield from camera_shots(recording, period, world)
 
@@ -239,6 +240,7 @@ def export_recording(
     from usarmjx.recording.reader import Recording
     from usarmjx.recording.tables import SUFFIXES, export_tables
 
+    # Before the recording is read, which may take minutes.
     suffix = out.suffix.lower()
     if suffix not in (*SUFFIXES, *FILMS, BAG_SUFFIX):
         raise UsageError(f"{out}: recordings are exported to {', '.join((*SUFFIXES, *FILMS, BAG_SUFFIX))}")
@@ -314,6 +316,7 @@ def film(
             now = time.monotonic()
             if now - told[0] > REPORT_PERIOD:
                 told[0] = now
+                # Pictures cost about the same: the rest takes as long as those so far, in proportion.
                 left = (now - began) / done * (of - done)
                 say(f"picture {done} of {of}, about {left:.0f} s left")
 

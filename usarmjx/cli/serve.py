@@ -129,6 +129,7 @@ def serve(
     So robots have 3000, 3001, ..., pictures 5003, 5004, ...; no two kinds share a port.
     """
     configure_log(verbose=verbose, as_json=log_json)
+    # Signals are caught from here on: to build the worlds may take minutes, and Ctrl-C must end that.
     with ErrorExit(), StopSignals() as signals:
         # Before JAX is imported and the arena is built.
         check_roster(which.roster, (*(which.robot or ()), *which.ini_files))
@@ -141,12 +142,14 @@ def serve(
             view=view,
             services=(radio, images, ros, ros2),
         )
+        # Ports first: one that is taken is refused at once, not after the arena is built.
         with host.ports() as ports:
             # A reader of JSON lines expects no others.
             if not log_json:
                 host.warn(ports)
             many = f" for {which.worlds} worlds" if which.worlds > 1 else ""
             announce(f"building arena {which.arena}{many} ...")
+            # All options are read before the worlds are built, so that a wrong one is refused first.
             services = host.prepare(which.ini_files)
             worlds = which.make(which.seats or host.settings.max_connections)
             heard = radio.constants if radio.wanted else None

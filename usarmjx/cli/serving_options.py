@@ -281,6 +281,7 @@ class ImageOptions:
 
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
             bound = sockets["--image-port"]
+            # The port as bound: the option's may be 0, or moved by the offset.
             return ImageServer(world, replace(settings, port=port_of(bound)), bound)
 
         return make
@@ -461,6 +462,7 @@ def add_metrics(
     """Let servers' figures be served at a socket; the factor is the simulated seconds per second wanted."""
     from usarmjx.server.runtime.metrics import MetricsServer
 
+    # To one server only, as it serves the figures of all.
     servers[0].services.append(MetricsServer(servers, factor, bound, numbers))
 
 
@@ -738,6 +740,7 @@ class Ros2Options:
         # DDS asks for no token and no address: these options would promise a guard that is not there.
         if self.ros2_network and (listen.rules.token or listen.rules.allow):
             raise UsageError("--ros2-network lets everybody in: it has neither --token nor --allow")
+        # Nodes of ROS choose their middleware by this variable: both sides then speak the same.
         by_environment = "zenoh" if os.environ.get("RMW_IMPLEMENTATION") == ZENOH_RMW else "dds"
         settings = Ros2Settings(
             domain=self.ros_domain_id,

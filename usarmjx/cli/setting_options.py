@@ -83,6 +83,7 @@ def _as_command(run: Callable[..., Any], command: F, parameters: list[inspect.Pa
     """Return a function under a command's name and docstring, with parameters as typer looks for them."""
     run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
     run.__signature__ = inspect.Signature(parameters)  # type: ignore - as inspect looks for it
+    # Typer takes the defaults from the signature, but the types from the annotations.
     run.__annotations__ = {one.name: one.annotation for one in parameters}
     return cast(F, run)  # called by typer only, with options
 
@@ -100,6 +101,7 @@ def with_config(command: F) -> F:
     notes = {name: note for name, one in signature.parameters.items() if (note := _option_note(one))}
 
     def kind() -> type:
+        # Made on demand: most command lines name no file.
         own = {name: signature.parameters[name] for name in notes}
         rows = [(name, _declared(one, notes[name]), field(default=one.default)) for name, one in own.items()]
         return make_dataclass(command.__name__, rows, kw_only=True, frozen=True)
@@ -244,6 +246,7 @@ def _built(kind: type, values: Mapping[str, Any], base: object) -> object:
     typed = _typer_notes(kind)
     data: dict[str, Any] = {}
     for name, value in values.items():
+        # Flags come from the parser as values already.
         if name in typed or isinstance(value, bool):
             data[name] = value
         elif value is not None:

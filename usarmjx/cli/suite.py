@@ -58,6 +58,7 @@ def run(
         from usarmjx.sweeps.suite import load_suite, run_suite
         from usarmjx.sweeps.workers import Workers
 
+        # Only typed settings: all others stay as the suite's file has them.
         common: dict[str, object] = {} if engine is None else {"engine": engine}
         if episodes is not None:
             common["episodes"] = episodes

@@ -135,11 +135,13 @@ def run(
 ) -> None:
     """Play the cells of a sweep that have no result yet, and report the results of all."""
     with ErrorExit(), ends_on_signals():
+        # Before the imports, which are part of the cost that a record states.
         begun = time.perf_counter()
         from usarmjx.sweeps.spec import find_spec, load_spec
 
         file = find_spec(what)
         check_file(read_file(file))
+        # Without --engine cells may play on jax, which deadlocks in a small pool of threads.
         announce(
             f"reading {what} ...", aloud=not quiet, engines=["jax" if engine is None else tried_on(engine)]
         )
@@ -180,6 +182,7 @@ def show(
 ) -> None:
     """Report the results of a sweep, finished or not."""
     with ErrorExit():
+        # No engine is built: JAX's pool of threads may be as small as the machine.
         announce(f"reading {folder} ...", engines=[])
         _check_files(figure, table, episodes)
         from usarmjx.sweeps.store import read_sweep

@@ -67,6 +67,7 @@ class Listing:
         """Show it on a terminal."""
         table = Table(title=self.title or None, title_justify="left")
         for number, column in enumerate(self.columns):
+            # The first column has names to copy, which must not be broken in two.
             table.add_column(column, style="bold" if not number else None, no_wrap=not number)
         for row in self.rows:
             table.add_row(*(str(cell) for cell in row))

@@ -201,6 +201,7 @@ class PolicyOptions:
         Raises:
             UnknownNameError: Gives the closest name and all.
         """
+        # Two at once are refused by `source`, whose line says what to do.
         if self.policy is not None and self.baseline is None:
             check_policy(self.policy)
         if self.agent is not None and self.agent not in AGENTS:

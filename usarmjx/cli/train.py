@@ -127,6 +127,7 @@ def _to_wandb(rank: str, path: Path, iteration: int) -> None:
     del iteration
     module = find_wandb()
     try:
+        # Not committed: the clip goes out with the figures of its iteration, under the same step.
         module.log({f"clips/{rank}": module.Video(str(path), format="gif")}, commit=False)
     except Exception as error:
         say(f"note: Weights & Biases has no clip {path.name}: {error}")
@@ -376,6 +377,7 @@ def _train_and_show(task: str, options: TrainOptions, shown: _Shown) -> None:
         watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
         with stop_request() as stop:
+            # One run there, not one for each process.
             project = None if process.index else shown.wandb
             score, stopped = _train(task, options, watchers, project, bar, stop)
         if process.index == 0:
@@ -412,6 +414,7 @@ def _served(run: Path, task: str, port: int, wanted: bool, offset: int = 0) -> G
         return
     from usarmjx.train.task_names import is_own
 
+    # Only POSIX lets a child inherit the pipe by which it notices this process's end.
     if os.name == "nt":
         raise UsageError(f"train --serve needs POSIX: run `usarmjx play {run} --serve --follow` beside it")
     # A process, not a thread: Python would share its time between the training and the server.
@@ -484,6 +487,7 @@ def _train(
             stop=stop,
         )
     finally:
+        # Also after a failure, so that files of watchers are complete up to it.
         for watcher in watchers:
             watcher.close()
     return result_line(done), done.stopped
@@ -639,6 +643,7 @@ def export(
     """Write a policy for NumPy or ONNX Runtime; or a recording as tables, film or ROS 2 bag."""
     with ErrorExit():
         where = chosen_out(out, old_out)
+        # Otherwise the name would be looked up among the packaged policies.
         if not run.exists() and run.suffix.lower() == ".mcap":
             raise UsageError(f"{run}: cannot be read: No such file or directory")
         if not run.exists():

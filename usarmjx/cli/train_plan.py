@@ -123,6 +123,7 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
         engine, asked, notice = _as_usual(task, engine, asked)
     overrides = task_values(known, asked.fields)
     played = make_task(task, **overrides)
+    # They follow from the task as it is set, so its fields are read first; typed settings still win.
     own = turn_settings(task, played.turn_length) | wheel_settings(task, discrete=played.discrete)
     training = {**own, **asked.training}
     config = task_config(task, gpu=on_gpu(engine), **training)
@@ -268,6 +269,7 @@ def check_curriculum(options: TrainOptions) -> None:
     try:
         share = float(str(value))
     except ValueError:
+        # No number at all: the reader that knows the field refuses it later.
         return
     if 0 < share <= 1:
         raise UsageError(f"{CURRICULUM} is {share}: seeds that train together have none")
@@ -323,6 +325,7 @@ def run_seeds(task: str, options: TrainOptions, count: int | None, quiet: bool) 
             )
     for result in results:
         typer.echo(result_line(result))
+    # Seeds train in one program: a stop ends all of them.
     if results[0].stopped:
         say(f"go on with: usarmjx train {task} --out {options.out} --resume")
         # As shells report a process that a signal has ended.

@@ -63,6 +63,7 @@ def viewer_socket(host: str, port: int | None, offset: int, wanted: bool) -> Gen
         yield None
         return
     number = VIEWER_PORT if port is None else port
+    # 0 means any free port, which an offset would turn into a fixed one.
     number = number + offset if number else 0
     if number > LAST_PORT:
         raise UsageError(f"--viewer-port leads to port {number}; the last one is {LAST_PORT}")
@@ -137,6 +138,7 @@ def add_viewer(
     Args:
         servers: The servers.
         controls: Actions allowed on their worlds.
+        # To one server only: they act on the worlds of all.
         bound: Address of the page.
         settings: Settings of serving it.
         radio: The radio's constants; None: there is none.

@@ -51,6 +51,7 @@ class CommandLine(Input):
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
+        # Before the screen, which moves the focus by Tab.
         Binding("tab", "complete", "complete", priority=True),
         Binding("up", "recall(-1)", show=False),
         Binding("down", "recall(1)", show=False),
@@ -136,11 +137,13 @@ class KeyPad(Static, can_focus=True):
 
     def on_mouse_down(self, event: events.MouseDown) -> None:
         """The right button ends driving."""
+        # Terminals number the buttons 1 left, 2 middle, 3 right.
         if event.button == 3:
             self.post_message(self.Left())
 
     def on_mouse_move(self, event: events.MouseMove) -> None:
         """Turn the camera by a step when the mouse has moved by `COLUMNS_PER_STEP` or `ROWS_PER_STEP`."""
+        # Movements reach whatever lies under the pointer, also while somebody types a command.
         if not self.has_focus:
             return
         # The first place is only where the count begins.
@@ -190,9 +193,11 @@ def branch(message: Message) -> Branch:
         words = value.split()
         if key.lower() == "name" and words:
             name = words[0]
+            # A last field without its value is dropped, as peers may send what they like.
             pairs = zip(words[1::2], words[2::2], strict=False)  # `{Name F1 Range 2.5}`
             found.setdefault(name, {}).update((field, brief(text)) for field, text in pairs)
         elif key.lower() not in ("type", "name") or message.kind != "SEN":
+            # The time is that of the message, not of the item that was named before it.
             fields = found.setdefault(name if key.lower() != "time" else "", {})
             fields[_free(fields, key)] = brief(value)
     return found
@@ -282,6 +287,7 @@ class MessagePanes(Vertical):
         super().__init__(id="messages")
         self._tabs = TabbedContent()
         self._logs: dict[str, RichLog] = {}
+        # Bounded: a pane that nobody looks at would grow for as long as the server talks.
         self._pending = {name: deque[Text](maxlen=MAX_LINES) for name in (ALL, *KINDS, OTHERS, SENT)}
 
     def compose(self) -> ComposeResult:
@@ -289,6 +295,7 @@ class MessagePanes(Vertical):
         with self._tabs:
             for name in self._pending:
                 with TabPane(name, id=f"pane-{name}"):
+                    # The library wraps at 78 columns at least, which a narrow terminal would cut off.
                     self._logs[name] = RichLog(max_lines=MAX_LINES, wrap=True, min_width=20)
                     yield self._logs[name]
 
@@ -304,6 +311,7 @@ class MessagePanes(Vertical):
             line if len(line) <= SHORT else f"{line[:SHORT]} ... ({len(line)} characters, whole under {own})"
         )
         self._pending[ALL].append(Text(f"{when} {short}", style))
+        # Remarks are no messages: only the pane of all lines has them.
         if direction != "#":
             self._pending[own].append(Text(f"{when} {line}", style))
 
@@ -340,6 +348,7 @@ class SensorTree(Tree[None]):
         for name, message in latest.items():
             for item, fields in branch(message).items():
                 for key, value in fields.items():
+                    # One value makes one line, not a branch that must be opened to see it.
                     if item and len(fields) > 1:
                         self._node(name, item, key).set_label(Text(f"{key} {value}"))
                     else:
@@ -379,6 +388,7 @@ class RangeBars(Static):
         """Take a message."""
         if message.kind != "SEN":
             return
+        # Numbers that cannot be read make no bars; the panes show the line all the same.
         try:
             longest = longest_range(message)
         except PeerError:
@@ -387,10 +397,12 @@ class RangeBars(Static):
             kind = title(message)
             # The scale only grows, so that bars of one sensor compare over time.
             self._longest[kind] = max(longest, self._longest.get(kind, 0.0))
+            # A scan has a row of its own, so two scanners of a type must not replace each other.
             self._latest[kind if message.get("Range") == "" else f"{kind} {message.get('Name')}"] = message
 
     def show_latest(self) -> None:
         """Draw the bars; all is laid out anew only where there are more of them."""
+        # Before the first layout the width is 0.
         text, column = Text(), max(20, self.size.width // COLUMNS)
         for message in self._latest.values():
             is_scan = bool(message.get("Range"))
@@ -568,6 +580,7 @@ class ConsoleApp(App[str]):
             async for received in self._client.messages():
                 await self._hear(received)
         except UsarmjxError as error:
+            # A transcript that cannot be written any more ends the reading, not the console.
             self.say(str(error))
         self.say(GONE)
 
@@ -579,6 +592,7 @@ class ConsoleApp(App[str]):
         if self._extras.ask:
             for line in self._client.knowledge.questions():
                 await self.send(line)
+        # Only the first camera is shown without a request: which one follows is the user's choice.
         if self._viewed < 0 and self._client.knowledge.fovs:
             await self._show_next_camera()
 
@@ -609,6 +623,7 @@ class ConsoleApp(App[str]):
     def _complete(self, text: str) -> list[str]:
         pictures = self._extras.pictures
         address = pictures.address if pictures is not None else ""
+        # Made anew each time: classes and the address become known later, in other tasks.
         return Completer(self._client.knowledge, self._robot_classes, address).complete(text)
 
     def _offer(self, lines: Sequence[str]) -> None:
@@ -662,6 +677,7 @@ class ConsoleApp(App[str]):
             self.say("the joystick has gone")
         elif self._stick is not None:
             for line in self._stick.feed(data):
+                # The loop calls this as a plain function, which cannot wait for a send.
                 self.run_worker(self.send(line))
 
     # Pictures
@@ -670,6 +686,7 @@ class ConsoleApp(App[str]):
         view = self._picture
         try:
             async for picture in pictures.pictures():
+                # Before the first layout the pane has no size.
                 view.show(half_blocks(picture, max(1, view.size.width), max(1, view.size.height)))
                 if self._extras.files is not None:
                     self._extras.files.save(picture)
@@ -705,4 +722,5 @@ class ConsoleApp(App[str]):
             parts += [f"light {'on' if known.light else 'off'}", f"speed {self._pilot.speed:g} %"]
         if self._device is not None:
             parts.append("joystick")
+        # One line for ever: a new layout of the screen takes much longer than the text.
         self._state_line.update(Text(" | ".join(parts)), layout=False)

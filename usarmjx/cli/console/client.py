@@ -54,6 +54,7 @@ class Transcript:
         try:
             self._file.write(f"{when} {direction} {line}\n")
         except OSError as error:
+            # Given up: otherwise each further line would raise anew.
             self._file = None
             raise WriteError(f"--transcript: cannot write {self._path}: {error.strerror}") from error
 
@@ -148,6 +149,7 @@ class ConsoleClient:
         """
         if self._writer is None or self._writer.is_closing():
             raise UsageError(f"not connected to {self.host}:{self.port}")
+        # The server would read two commands there, the second one past the check for secrets below.
         if "\n" in line or "\r" in line:
             raise UsageError("a line has no line end inside")
         shown = SECRET.sub(r"\1 ...", line)
@@ -197,6 +199,7 @@ def failure_of(error: OSError) -> str:
     # Failed look-ups of names have negative numbers, which strerror does not know.
     if error.errno and error.errno > 0:
         return os.strerror(error.errno)
+    # A timeout has no text of its own.
     return str(error) or f"no answer in {TIMEOUT:g} s"
 
 
@@ -223,6 +226,7 @@ def parse_place(text: str, what: str = "HOST:PORT") -> tuple[str, int]:
         UsageError: It is neither.
     """
     host, _, port = text.rpartition(":")
+    # Not int() alone, which also takes signs, blanks and digits of other scripts.
     if not (port.isdecimal() and port.isascii() and len(port) <= 5 and 0 < int(port) < 1 << 16):
         raise UsageError(f"{text!r} is no place; expected {what}, as 127.0.0.1:3000 or 3000")
     return host.strip("[]") or "127.0.0.1", int(port)
@@ -304,6 +308,7 @@ class _Talk:
         elif word.startswith("@"):
             raise UsageError(f"{word} is none of {SLEEP} SECONDS, {UNTIL} BEGINNING")
         else:
+            # Before the line goes out: the answer may come while it is being sent.
             self._unseen.clear()
             await self._client.send(line)
 
@@ -356,6 +361,7 @@ def _is_file(stream: IO[str]) -> bool:
     try:
         return stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
     except (OSError, ValueError):
+        # A replaced standard input, as in a notebook, has no descriptor.
         return True
 
 

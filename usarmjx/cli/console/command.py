@@ -115,6 +115,7 @@ def _run_script(
         saving = None if pictures is None or files is None else asyncio.create_task(pictures.save_all(files))
         try:
             await run_script(client, read_script(script), show, linger=linger, patience=patience)
+            # The failure of a task is raised only where somebody asks: missing pictures would go unnoticed.
             if saving is not None and saving.done():
                 saving.result()
         finally:

@@ -156,6 +156,7 @@ class KeyDriver:
     def steer(self, ahead: float, left: float, up: float = 0.0) -> list[str]:
         """Drive by the deflections of a stick, each from -1 to 1 of the robot's best."""
         self.ahead, self.left, self.up = ahead, left, up
+        # A stick's deflection is itself the share of the full speed: the keys' speed does not count.
         return self._drive(FASTEST)
 
     def go(self, ahead: float, left: float) -> list[str]:
@@ -185,6 +186,7 @@ class KeyDriver:
     def change_speed(self, step: float) -> list[str]:
         """Drive faster or slower from now on."""
         self.speed = max(SLOWEST, min(FASTEST, self.speed + step))
+        # A robot that stands needs no order: the speed counts from the next key on.
         return self._drive(self.speed) if self.ahead or self.left or self.up else []
 
     def toggle_light(self) -> list[str]:
@@ -216,9 +218,11 @@ class KeyDriver:
         steer = 100 * self.left
         if known.steering == "SkidSteered":
             # Both wheels by one factor: the curve stays the same where one would exceed the speed.
+            # The speed is 0 where only the names of the keys matter, as in `problem`.
             wide = max(1.0, (abs(ahead) + abs(turn)) / max(speed, 1e-9))
             return [("Left", round((ahead - turn) / wide, 1)), ("Right", round((ahead + turn) / wide, 1))]
         if known.steering == "AckermanSteered":
+            # Rear wheels turn against the front ones, so that both bend the path the same way.
             rear = [("RearSteer", -steer)] if known.max_rear_steer else []
             return [("Speed", ahead), ("FrontSteer", steer), *rear]
         if known.steering == "OmniDrive":
@@ -233,6 +237,7 @@ class KeyDriver:
         if known.steering == "RotaryWing" and known.class_name in BLIMPS:
             # In percent of 90 degrees.
             angle = math.degrees(math.atan2(self.up, self.ahead)) / 0.9 if self.up else 0.0
+            # A climb needs thrust even where no key drives ahead.
             thrust = speed if self.up else ahead
             return [("XZAngle", round(angle, 1)), ("ThrustPropeller", thrust), ("TailPropeller", turn)]
         if known.steering == "RotaryWing":
@@ -291,6 +296,7 @@ BUTTONS = {0: "stop", 1: "light", 2: "zoom_in", 3: "zoom_out"}
 
 def find_joystick(folder: Path = FOLDER) -> Path | None:
     """Return the first joystick that can be read; None: there is none."""
+    # Device files belong to a group: the search must not end at one that this user may not read.
     return next((path for path in sorted(folder.glob("js[0-9]*")) if os.access(path, os.R_OK)), None)
 
 
@@ -355,6 +361,7 @@ class JoystickDevice:
 
     def __init__(self, path: Path, take: Callable[[bytes], None]) -> None:
         try:
+            # A read in the event loop must never wait.
             self._file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
             raise UsageError(f"--joystick: cannot read {path}: {error.strerror}") from error
@@ -378,6 +385,7 @@ class JoystickDevice:
         """Close the file."""
         if self._is_open:
             self._is_open = False
+            # Out of the loop first: the system gives the number of a closed file to the next one.
             self._loop.remove_reader(self._file)
             os.close(self._file)
 

@@ -257,6 +257,7 @@ class Knowledge:
                 links = self.packages.setdefault(name, {})
                 for number, told in _by_link(segments):
                     low, high = (to_float(told.get(key, "0")) for key in ("minrange", "maxrange"))
+                    # A lowest position above the highest means no limits, as in `min_range` of a link.
                     links.setdefault(number, PackageLink()).limits = (low, high) if low <= high else None
 
     def _cameras(self, message: Message) -> None:
@@ -287,6 +288,7 @@ def _by_link(segments: tuple[Segment, ...]) -> Iterator[tuple[int, dict[str, str
     for key, value in (*segments, ("Link", "0")):
         if key.lower() == "link":
             if number:
+                # Links count from 1: 0 stands for the segments before the first link.
                 yield number, fields
             number, fields = int(to_float(value)), {}
         else:

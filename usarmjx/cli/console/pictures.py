@@ -12,6 +12,8 @@ from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.console.client import TIMEOUT, failure_of
 from usarmjx.server.network.access import AUTH
 
+# Type and length of a picture, then width and height of a raw one. The manual states no byte order:
+# big-endian is that of later versions.
 HEADER = struct.Struct(">BI")
 RAW_SIZE = struct.Struct(">HH")
 MAX_SIZE = 64 << 20
@@ -53,6 +55,7 @@ class PictureStream:
         except (OSError, TimeoutError) as error:
             reason = failure_of(error)
             raise UsageError(f"no pictures from {self._host}:{self._port}: {reason}") from error
+        # The server knows its clients by the address that they connect from.
         self.address = "{}:{}".format(*writer.get_extra_info("sockname")[:2])
         if self._token:
             writer.write(f"{AUTH} {{Token {self._token}}}\r\n".encode("latin-1"))
@@ -86,7 +89,9 @@ def decode(number: int, data: bytes) -> Image.Image:
         UsageError: It is none.
     """
     try:
+        # Type 0 is raw, 1 to 5 are JPEG of falling quality (manual 14.5.3).
         if number:
+            # Bytes of a peer reach this one decoder only, not all that the library has.
             with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
                 return image.convert("RGB")
         size = RAW_SIZE.unpack_from(data)
@@ -130,6 +135,7 @@ class PictureFiles:
         Raises:
             WriteError: It cannot be written.
         """
+        # A folder may hold the pictures of an earlier session, which must stay.
         while (path := self._folder / f"picture-{self._count:06d}.png").exists():
             self._count += 1
         try:
