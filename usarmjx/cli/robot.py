@@ -84,6 +84,7 @@ def export(
         from usarmjx.models.files.robot_export import SUFFIXES, export_robot
 
         by_suffix = {suffix: name for name, suffix in SUFFIXES.items()}
+        # An unknown suffix passes for a format's name: `export_robot` refuses it and lists the formats.
         result = export_robot(find_robot(robot), out, form or by_suffix.get(out.suffix.lower(), out.suffix))
         for note in result.notes:
             typer.echo(f"note: {note}", err=True)

@@ -121,6 +121,7 @@ def add_controls(servers: "Sequence[BotServer]", clock: "StepClock") -> "ServedC
     from usarmjx.server.viewing.controls import ServedControls
 
     controls = ServedControls(servers, clock)
+    # To one server only: they act on the worlds of all.
     servers[0].services.append(controls)
     return controls
 
@@ -138,7 +139,6 @@ def add_viewer(
     Args:
         servers: The servers.
         controls: Actions allowed on their worlds.
-        # To one server only: they act on the worlds of all.
         bound: Address of the page.
         settings: Settings of serving it.
         radio: The radio's constants; None: there is none.

@@ -110,6 +110,7 @@ class TrainingRecorder:
     """
 
     def __init__(self, env: Env, file: RecordingFile, every: int, calls: int) -> None:
+        # No seed: the worlds come from the midst of a training, which no reset repeats.
         self._episodes = EpisodeRecorder(env, file, range(min(env.worlds, MOST_WORLDS)), None)
         self._every, self._calls, self._count = every, calls, -1
 
@@ -230,6 +231,7 @@ class BlackBox:
         """Record worlds, given with the number of the action in which they went bad."""
         assert self._last is not None  # as the caller says
         env, last = self._env, self._last
+        # Less a little: the quotient of two rounded times must not round up to one more step.
         window = math.ceil(SECONDS / env.period - 1e-6)
         # A world that went bad early in its rollout has its last seconds partly in the one before.
         earlier = self._before if min(step for _, step in worlds) + 1 < window else None
@@ -279,8 +281,10 @@ class BlackBox:
 
     def _setup(self) -> WorldSetup:
         task = self._env.task
+        # The training's arenas may have spare room, and a snapshot needs the same shapes here.
         renewable = getattr(task.arenas, "renewable", False)
         setup = batch_setup(self._env.batch, 0, 0)
+        # A bad world must stay as it is: a reset in the same step would hide the fault.
         return replace(setup, worlds=1, first=0, reset_bad=False, spare=SPARE_ROOM * renewable)
 
     def _record(self, box: _Box, path: Path) -> None:
@@ -296,6 +300,7 @@ class BlackBox:
             recorder, time = WorldRecorder(file, setup, since=box.since), 0.0
             recorder.record_frame(self._snapshot())
             for orders in box.orders:
+                # Before the state of the step that they act in, as a replay expects inputs.
                 recorder.record_orders(env.scene, orders)
                 replayed.apply(OrdersGiven(step=recorder.steps, orders=_by_slot(env, orders)))
                 for _ in range(env.task.repeat):
@@ -313,6 +318,7 @@ class BlackBox:
         assert self._replayed is not None  # as in `_record`
         batch, state = self._replayed.batch, self._replayed.batch_state
         keyed = state.worlds.replace(key=jax.random.key_data(state.worlds.key))
+        # Copies: an engine of the host writes to its arrays again while the file's thread reads them.
         parts: tuple[World, PhysicsState] = jax.tree.map(
             lambda x: np.array(np.asarray(x)[0]), (keyed, batch.physics(state))
         )

@@ -209,6 +209,7 @@ class RecordingFile:
         self._schemas: dict[str, int] = {}
         self._jobs: deque[_Waiting] = deque()
         self._pieces: dict[ChannelName, Iterator[None]] = {}
+        # The first loss is logged at once, also right after the machine has started.
         self._told = -LOG_INTERVAL
         self._stop, self._flushed, self._written = Event(), time.monotonic(), 0
         self.ended = False
@@ -218,6 +219,7 @@ class RecordingFile:
         with writing(self.path):
             self._writer.start(library="usarmjx")
             self._writer.add_metadata("usarmjx", about or {})
+            # At once, so that a process that is killed leaves a file with its metadata.
             self._writer.flush()
         # A daemon: a program that forgets to close the file can end all the same.
         self._thread = Thread(target=self._run, name="recording", daemon=True)
@@ -317,6 +319,7 @@ class RecordingFile:
             self._end(str(reason or error))
         finally:
             self.ended = True
+            # Jobs hold whole worlds, whose memory an ended recording must not keep.
             self._jobs.clear()
             try:
                 self._stream.close()
@@ -344,6 +347,7 @@ class RecordingFile:
 
     def _is_late(self, since: float) -> bool:
         """Return whether a frame that has waited since then [s] is left out."""
+        # Once the file is being closed no world waits any more: all frames are written.
         return (
             self._max_lag is not None and time.monotonic() > since + self._max_lag and not self._stop.is_set()
         )

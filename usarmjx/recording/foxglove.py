@@ -231,6 +231,7 @@ class SceneTexts:
             # Two texts of JSON objects are joined at their braces: encoding megabytes again would take long.
             entities.append(f"{about[:-1]}, {solids[1:]}")
             yield
+        # Bodies that are gone would stay on the screen otherwise.
         deletions = json.dumps([{"timestamp": now, "type": DELETE_ALL, "id": ""}])
         write(f'{{"deletions": {deletions}, "entities": [{", ".join(entities)}]}}'.encode())
 
@@ -261,7 +262,9 @@ def _entity(drawing: Drawing, body: int, now: dict[str, int]) -> dict[str, Any]:
         "timestamp": now,
         "frame_id": frame_id(drawing, body),
         "id": drawing.bodies[body].name,
+        # In Foxglove a lifetime of 0 never ends.
         "lifetime": {"sec": 0, "nsec": 0},
+        # Locked to its frame: a body moves by its transforms, and its shapes are sent once.
         "frame_locked": True,
         "metadata": [],
         **{kind: [] for kind in ("arrows", "spheres", "cylinders", "lines", "models")},

@@ -33,6 +33,7 @@ ORDER_FIELDS = ("command", "active", "battery_start", "drowned")
 """Fields of a `GroupState` that change a batch's worlds from outside."""
 
 
+# Kept, as each version is read from files and every world asks.
 @cache
 def versions() -> dict[str, str]:
     """Return the versions of the packages here, and the kind of machine, by name."""

@@ -105,6 +105,7 @@ class Recording:
         if not self.is_complete:
             self._scan()
         if not self._channels or not self._parts:
+            # The caller gets no object that it could close.
             self.close()
             raise UsageError(f"{path}: is no recording of usarmjx, or nothing is left of it")
         self.start = min(part.start for part in self._parts) / NANO
@@ -213,6 +214,7 @@ class Recording:
             self._take_channel(int(metadata.metadata["id"]), metadata.metadata)
 
     def _take_channel(self, number: int, fields: Mapping[str, str]) -> None:
+        # Channels of other programs may stand in the file, and are not read.
         if fields.get("kind") in CHANNELS and fields.get("world", "").isdecimal():
             name = ChannelName(int(fields["world"]), fields["kind"], fields.get("about", ""))
             self._channels[number] = name
@@ -222,6 +224,7 @@ class Recording:
             self._stream.seek(part.offset + 9)  # behind the record's opcode (1 byte) and length (8 bytes)
             records = _records_of(Chunk.read(ReadDataStream(self._stream)))
         except Exception as error:  # as in `_scan`: a damaged part costs that part only
+            # Said once: only some parts stay in the cache, so a damaged one may be read again.
             if part.offset not in self._unread:
                 self._unread.add(part.offset)
                 span = part.start / NANO, part.end / NANO

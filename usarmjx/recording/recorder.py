@@ -240,11 +240,13 @@ class WorldRecorder:
 
     def joined(self, slot: int, name: str, robot: str) -> None:
         """Record that a robot has joined."""
+        # Commands of the slot's former robot say nothing of the new one: all are recorded again.
         self._known.clear()
         self.event("join", f"{name}, a {robot}, joins", name, slot)
 
     def removed(self, slot: int, name: str) -> None:
         """Record that a robot has left."""
+        # Readings so far are of the robot that leaves, and come before its removal.
         self._flush_readings()
         self._put(RobotRemoved(step=self.steps, slot=slot))
         self._known.clear()
@@ -326,6 +328,7 @@ class WorldRecorder:
             act: Activations (na,).
             steps: Number of steps.
         """
+        # Before the time moves on: these readings are of the state so far.
         self._flush_readings()
         self.steps, self._time = self.steps + steps, time
         state = StepState(

@@ -63,6 +63,7 @@ class RecordingSource:
         self.start = min(first.time for first in firsts if first is not None)
         self.end = recording.end
         self.time = self.start
+        # On the instance: on the method the cache would keep closed recordings alive.
         self._read = lru_cache(maxsize=KEPT_DRAWINGS)(self._read_drawing)
         self._facts: dict[int, BoardFacts] = {}
         self._around: dict[int, tuple[RecordedMessage, RecordedMessage | None]] = {}
@@ -95,6 +96,7 @@ class RecordingSource:
             arenas = self.recording.setup(self.worlds[world]).arenas
             owners = victim_table(arenas[0].victims, arenas[0].false_alarms).owner if arenas else ()
             owners = np.asarray(owners, int)
+            # A false alarm has a negative owner.
             self._facts[world] = BoardFacts(owners=owners, victims=len(np.unique(owners[owners >= 0])))
         return self._facts[world]
 

@@ -146,6 +146,7 @@ def export_tables(recording: Recording, path: Path, tables: Sequence[str] = ()) 
         rows = rows_of(recording, table)
         # A file is begun only for a table that has rows.
         first = next(rows, None)
+        # A table that is asked for by name is written even without rows.
         if first is None and not tables:
             continue
         file = path.with_name(f"{path.stem}-{table}{path.suffix}")

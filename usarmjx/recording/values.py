@@ -69,6 +69,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
         if array.dtype == object:
             return {WORDS: [str(item) for item in array.tolist()]}
         if array.dtype.kind in NUMBERS:
+            # The text of the dtype has the byte order: any machine reads the same numbers.
             return msgpack.ExtType(ARRAY, pack((array.shape, array.dtype.str, array.tobytes())))
     if isinstance(value, np.generic):
         return cast("np.generic[Any]", value).item()
@@ -92,7 +93,12 @@ def unpack(data: bytes) -> Any:  # noqa: ANN401 - any of the values
     """
     try:
         return msgpack.unpackb(
-            data, object_hook=_value, ext_hook=_array, use_list=False, strict_map_key=False
+            # Slots are numbers, and MessagePack allows only texts as keys unless it is asked.
+            data,
+            object_hook=_value,
+            ext_hook=_array,
+            use_list=False,
+            strict_map_key=False,
         )
     except UsageError:
         raise

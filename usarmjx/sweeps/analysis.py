@@ -186,6 +186,7 @@ def _normalised(
     for name in ("zero", "one"):
         given = found.normalise[name]
         if isinstance(given, str):
+            # Results of earlier versions name policies by former names.
             given = given if given in records else rename_policy(given)
             if given not in records:
                 raise UsageError(f"normalise: {name} is {given}, which has no cells of {task}")

@@ -102,6 +102,7 @@ class GroupRunner:
         self.env = build_env(
             task, size * self._episodes, name=cells[0].settings["task"], engine=engine, seed=seed
         )
+        # Compiled once for the whole group: weights and arenas of a batch are arguments.
         self._step = jax.jit(self._act)
         self._note = jax.jit(self._noted)
 
@@ -238,6 +239,7 @@ class GroupRunner:
         begin = carry = self._begin(weights)
         keys = _cell_keys(cells)
         state, step, pending = self._starts(cells, keys), 0, None
+        # Only shapes and types matter: each world is written at its first end.
         values = jax.tree.map(jnp.zeros_like, _outcome(state).values)
         none = jnp.zeros(env.worlds, bool)
         results = EpisodeResults(over=none, steps=jnp.zeros(env.worlds, int), values=values)
@@ -275,6 +277,7 @@ def _stacked(*rows: Any) -> jax.Array:  # noqa: ANN401 - arrays
 def _cell_keys(cells: Sequence[Resolved]) -> jax.Array:
     """Return the key of each cell's seed (cells,)."""
     seeds = [cell.settings["seed"] for cell in cells]
+    # Cells share a few seeds, and each key is an operation of its own on the device.
     places = {seed: place for place, seed in enumerate(dict.fromkeys(seeds))}
     return jnp.stack([random.key(seed) for seed in places])[np.array([places[seed] for seed in seeds])]
 

@@ -116,6 +116,7 @@ def play_client(cell: Resolved, driver: CellDriver, engine: str) -> CellEpisodes
             for number, (world, own) in enumerate(zip(worlds, bound, strict=True))
         ]
         ports = [int(own["--port"].getsockname()[1]) for own in bound]
+        # Before the clients come, whose first answers would otherwise wait for compilation.
         for world in worlds:
             world.warm_up()
         # The server prints its addresses, and the output is for results.
@@ -145,6 +146,7 @@ async def _serve(
             await _until_over(servers, shared, clock, clients)
     finally:
         loop.stop()
+        # A failure that has ended the loop is raised here.
         await running
 
 
@@ -180,10 +182,12 @@ def _started(command: str, ports: Sequence[int]) -> Generator[list[subprocess.Po
             ]
             told = {**os.environ, PORT: str(port), NUMBER: str(number)}
             try:
+                # The output is for results, and clients must not write between them.
                 clients.append(subprocess.Popen(words, env=told, stdout=subprocess.DEVNULL))
             except OSError as error:
                 reason = error.strerror or error
                 raise UsageError(f"client {command!r} cannot be started: {reason}") from error
+        # Only the clients: earlier children have owners of their own.
         guard = end_with_this_process(children() - before)
         yield clients
     finally:

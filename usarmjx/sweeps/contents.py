@@ -113,6 +113,7 @@ def _robots_digest(robots: Sequence[str | RobotSpec], known: KnownDigests) -> st
 
 def _policy_digest(cell: Resolved, known: KnownDigests) -> str:
     policy = cell.settings["policy"]
+    # A word such as packaged stands for another policy in each task.
     name = f"policy: {cell.settings['task']}: {policy!r}"
     if name not in known.named:
         known.named[name] = policy_digest(policy, cell.driver.weights)
@@ -133,6 +134,7 @@ def policy_digest(policy: object, weights: Any) -> str:  # noqa: ANN401 - a tree
     if script is None:
         leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, weights))
         return fingerprint(str(tree), leaves)
+    # An empty argument would be the working folder, which exists.
     if not Path(argument).exists() or not argument:
         return script_digest(script)
     return hashlib.sha256((script_digest(script) + _files_digest(Path(argument))).encode()).hexdigest()

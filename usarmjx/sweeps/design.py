@@ -228,6 +228,7 @@ class Layout:
         # In the order of `_numbers`, whose numbers index these rows.
         points = sorted(set(self.episodes.points), key=repr)
         spans = list(self.episodes.sampled.values())
+        # The least span keeps a range of a single number from a division by 0.
         return np.array(
             [
                 [

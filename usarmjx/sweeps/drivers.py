@@ -122,6 +122,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
     task = newest_name(task)
     if kind == "client":
         speed = more.get("speed", 1.0)
+        # To Python True is a number: it must not pass for a speed of 1.
         if isinstance(speed, bool) or not isinstance(speed, int | float) or speed <= 0:
             raise UsageError(f"policy: speed is {speed!r}, expected simulated seconds per second, above 0")
         return CellDriver(shape=("client", what), command=what, speed=float(speed))
@@ -133,6 +134,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
     if kind == BASELINE:
         name = find_baseline(what or task)
         baseline = BASELINES.get(name)
+        # Names ignore case, and two spellings of a baseline share what is compiled.
         shape = ("baseline", name.lower())
         return CellDriver(shape=shape, make=lambda env, _: baseline(env), knows=name.lower() == ORACLE)
     if kind == PACKAGED and task not in POLICIES:

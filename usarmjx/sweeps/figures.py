@@ -149,6 +149,7 @@ def _axis_panel(panel: Axes, axis: str, rows: Sequence[AxisRow], policies: Seque
     """Draw scores over an axis: points with their intervals, joined where there are enough numbers."""
     values = list(dict.fromkeys(row.value for row in rows))
     numbers = [value.place for value in values if value.place is not None]
+    # One value that is no number makes all of them names at even distances.
     named = len(numbers) < len(values)
     places = dict(zip(values, range(len(values)) if named else numbers, strict=True))
     # A single value has no span, but methods stand beside each other there, too.

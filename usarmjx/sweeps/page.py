@@ -131,6 +131,7 @@ def _blocks(text: str) -> list[str]:
     """Return lines and Markdown tables of a report as HTML."""
     parts: list[str] = []
     rows: list[list[str]] = []
+    # The empty line ends a table that stands last.
     for line in [*text.splitlines(), ""]:
         if line.startswith("|"):
             rows.append([cell.strip() for cell in line.strip("|").split(" | ")])

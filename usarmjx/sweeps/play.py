@@ -98,9 +98,11 @@ def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRec
     try:
         found = _episodes(work, watch)
     except Exception as error:  # whatever a policy or the device does
+        # Its worlds may be in any state, and the halves need their memory.
         _Kept.runner = None
         if len(work.cells) == 1:
             return [failure(*work.cells[0], _reason(error))]
+        # Without the watch, as shares of a half would read as shares of the whole batch.
         return [record for half in halves(work) for record in play_batch(half)]
     compiling = clock.taken() / len(work.cells)
     return [_record(*cell, work.engine, one, compiling) for cell, one in zip(work.cells, found, strict=True)]

@@ -119,6 +119,7 @@ def _differences(found: StoredSweep) -> list[str]:
     rows = policy_differences(found)
     if not rows:
         return []
+    # With single runs the probability of improvement has no interval.
     several = any(row.gain.drawn("runs") > 1 for row in rows)
     head = ["task", "policy", "less", "difference in the same episodes, 95 %", "p (Holm)", "better in"]
     body = [
@@ -173,6 +174,7 @@ def compare(first: StoredSweep, second: StoredSweep) -> str:
     ]
     if not rows:
         return lines[0]
+    # An unknown gain sorts behind all changes.
     rows.sort(key=lambda row: -abs(row.gain.value) if np.isfinite(row.gain.value) else 0.0)
     same = sum(row.gain.value == 0.0 for row in rows)
     lines.append(f"the same score in {same} of them")

@@ -159,6 +159,7 @@ def resolve(settings: CellSettings, base: Task | None = None) -> Resolved:
     data = isinstance(arenas, LabelledArenas)
     return Resolved(
         settings=settings,
+        # A stand-in where arenas are data, so that tasks do not differ by them.
         task=replace(task, **parts, arena="floor" if data else arenas),
         arenas=arenas.arenas if data else None,
         ranges=ranges,
@@ -303,6 +304,7 @@ def _labels(arenas: tuple[ArenaSpec, ...]) -> tuple[str, ...]:
 def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> LabelledArenas:
     """Return as many arenas as there are episodes, at most, of all levels in turn."""
     levels = len(recipe.levels)
+    # Rounded up, so that there is a building for each episode.
     count = recipe.count if counted else -(-episodes // levels)
     try:
         made = replace(recipe, count=count).arenas()

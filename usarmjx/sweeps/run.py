@@ -282,6 +282,7 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int,
     # By places in the whole sweep, not among missing cells: parts on several machines must not overlap.
     mine = range((number - 1) * total // count, number * total // count)
     for place, asked in enumerate(spec.cells):
+        # The key has the engine itself: auto may be another one on another machine.
         settings = {**asked, "engine": choose_engine(str(asked["engine"]), "train")}
         one = _identify(settings, digests)
         # Two spellings of the same settings are one cell.
@@ -501,10 +502,12 @@ def _work(
 ) -> Callable[[BatchWork], list[CellRecord]]:
     """Return the function that plays a batch and reports its progress."""
     if workers.place != "here":
+        # Another process imports the function: one that holds the progress could not be sent there.
         return play_batch
 
     def play(work: BatchWork) -> list[CellRecord]:
         def watch(share: float) -> None:
+            # Files of the batch before are complete by now or soon: their cells count without a wait.
             keeper.count()
             progress.within(len(work.cells), share)
 

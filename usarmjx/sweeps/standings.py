@@ -117,6 +117,7 @@ def standings_of(results: Sequence[RunResult], suite: BenchmarkSuite) -> Standin
         UsageError: Results of several splits or of another version of the suite; names the first.
     """
     for one in results:
+        # Another version of a suite has other tasks or buildings, so its scores do not compare.
         if (one.suite, one.suite_digest) != (suite.name, suite.digest):
             raise UsageError(
                 f"{one.method}, run {one.run}: results of suite {one.suite} ({one.suite_digest}), "
@@ -317,6 +318,7 @@ def _run_row(one: RunResult) -> list[str]:
     # A policy for all tasks has the same hash in each of them.
     hashes = ", ".join(dict.fromkeys(one.policies.values()))
     jax = str(one.versions.get("jax", ""))
+    # The date alone, of a time in ISO 8601.
     return [one.method, f"`{one.run}`", one.commit, one.card, jax, one.when[:10], hashes]
 
 

@@ -178,6 +178,7 @@ def read_cell(folder: Path, key: str) -> CellRecord | None:
     if not file.exists():
         return None
     try:
+        # Cells that earlier versions kept have no checksum.
         record = _record(file, read_kept(file, needs_checksum=False, most=MOST_CELL_BYTES))
         if record.key != key:
             raise NotWholeError(f"{file}: is the result of another cell, {record.key[:40]}")

@@ -86,6 +86,7 @@ class RunResult:
             number: Number of the run among those of the method.
         """
         words = "-".join([self.suite, self.split, self.method, str(number)])
+        # Names of methods may hold anything, but not all of it is allowed in names of files.
         return re.sub(r"[^a-z0-9.]+", "-", words.lower()).strip("-") + SUFFIX
 
     def write(self, file: Path) -> None:

@@ -102,6 +102,7 @@ def export_rows(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     path = Path(path)
     check_table(path)
     write = _write_csv if path.suffix.lower() == ".csv" else _parquet_writer()
+    # Tasks have columns of their own: the table has all of them, in the order in which they come.
     columns = list(dict.fromkeys(name for row in rows for name in row))
     with atomic_write(path) as fresh:
         write(fresh, columns, rows)

@@ -306,6 +306,7 @@ class _Connection:
 
     def _open(self) -> None:
         before = children()
+        # Messages of Ray would stand between the lines of progress.
         quiet = {"log_to_driver": False, "include_dashboard": False, "logging_level": logging.ERROR}
         # Without an address Ray would look for a cluster that `ray start` noted, which may have ended.
         address = self._address or os.environ.get("RAY_ADDRESS") or "local"
