@@ -168,6 +168,7 @@ class ArenaProbe:
         """Yield faults of start poses."""
         for start in self._arena.starts:
             name = f"start {start.tag!r}"
+            # In water a robot floats or dives: it needs no ground under it.
             if not in_water(self._arena, start):
                 found = self._find_ground(start.at)
                 if found is None:
@@ -265,6 +266,7 @@ def check_close_starts(arena: ArenaSpec, robot: RobotSpec) -> Iterator[str]:
     found = [
         (one, other)
         for one, other in pairs
+        # Starts of two storeys may lie one above the other.
         if abs(one.at[2] - other.at[2]) < height and _overlap(one, other, length / 2, width / 2)
     ]
     for one, other in found[:MAX_LISTED_PAIRS]:
@@ -280,6 +282,7 @@ def check_close_starts(arena: ArenaSpec, robot: RobotSpec) -> Iterator[str]:
 def _overlap(one: StartPose, other: StartPose, length: float, width: float) -> bool:
     """Return whether rectangles of these half lengths overlap at two poses, by their separating axes."""
     way = np.subtract(other.at[:2], one.at[:2])
+    # Circles around both rectangles first: most pairs are far apart.
     if math.hypot(*way) > 2 * math.hypot(length, width):
         return False
     # Two for each rectangle are enough in the plane.
@@ -380,7 +383,9 @@ class BodyProbe:
         """Return the angle that a door turns from closed towards a limit before a solid stops it [rad]."""
         address = int(self._model.joint(f"{DOOR_PREFIX}{door.name}").qposadr[0])
         angle, way = 0.0, math.copysign(1.0, limit)
+        # No further: a door that turns by this angle passes, and each test looks at all solids.
         while angle < min(abs(limit), MIN_DOOR_OPENING):
+            # Kinematics alone follow: distances need neither contacts nor forces.
             self._data.qpos[address] = way * min(angle + DOOR_STEP, abs(limit))
             mujoco.mj_kinematics(self._model, self._data)
             if self._deepest(geom)[0] > MAX_DOOR_PENETRATION:

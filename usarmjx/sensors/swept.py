@@ -118,6 +118,7 @@ def strip_directions(settings: KinectSettings, frame: Array) -> Array:
     # Each strip begins where its share of the field of view does, not where the strip before ended.
     first = settings.vertical_fov * (xp.asarray(frame, xp.float32) / settings.frames - 0.5)
     up = first[..., None, None] + settings.vertical_resolution * np.arange(rows, dtype=np.float32)[:, None]
+    # Left is positive: MuJoCo's y axis points to the left.
     left = settings.horizontal_fov / 2 - settings.horizontal_resolution * np.arange(columns, dtype=np.float32)
     level = xp.cos(up)
     up, *flat = xp.broadcast_arrays(xp.sin(up), level * np.cos(left), level * np.sin(left))
@@ -156,6 +157,7 @@ class Kinect(SweptScanner):
 
     def goes_on(self, memory: Array) -> Array:
         """Return whether its picture is incomplete."""
+        # The number returns to 0 behind the last strip.
         return xp.asarray(memory) > 0
 
     def handle_set(
@@ -163,6 +165,7 @@ class Kinect(SweptScanner):
     ) -> Array | None:
         """Accept SCAN; a picture that has begun goes on."""
         del params, inputs
+        # The memory stays: 0 begins a picture, and one that is under way is not begun anew.
         return memory if opcode.upper() == "SCAN" else None
 
 
@@ -205,6 +208,7 @@ def row_directions(settings: PointCloudSettings, row: Array) -> Array:
         row: Number of the row (...).
     """
     wide, high = settings.h_field_of_view, settings.v_field_of_view
+    # Both ends belong to the field of view, so there is one angle less than beams.
     left = np.linspace(wide / 2, -wide / 2, settings.number_of_beams, dtype=np.float32)
     up = high * (xp.asarray(row, xp.float32) / settings.rows - 0.5)[..., None]
     # The row lies in a plane, which is pitched: the beams at its ends rise less than the one in its middle.
@@ -232,6 +236,7 @@ class PointCloud(SweptScanner):
         """Measure a row."""
         del key
         far = xp.minimum(inputs.hits.distance, self.max_distance)
+        # The row of the memory before it goes on: the hits are those of that row's beams.
         points = far[..., None] * row_directions(self.settings[0], memory)
         return (memory + 1) % self.settings[0].rows, points
 

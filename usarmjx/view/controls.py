@@ -168,6 +168,7 @@ class ControlLock:
     def leave(self, viewer: int) -> bool:
         """Release the controls of a user; return whether the user had them."""
         with self._lock:
+            # Only the holder's own release counts: a second user who closes the page must not take it away.
             had = self._holder == viewer
             if had:
                 self._holder = None

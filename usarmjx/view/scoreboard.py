@@ -208,6 +208,7 @@ class MissionLog:
         self._states = states
         for slot, robot in robots.items():
             for victim in seen_victims(robot, frame.robots[slot], facts.owners):
+                # The first robot counts: sensors see a victim in every reading from then on.
                 if victim not in self.found:
                     self.found[victim] = frame.time, robot.name
                     self._add(f"{robot.name} found victim {victim + 1}")
@@ -256,7 +257,9 @@ def known_area(frame: Frame) -> float | None:
     maps = [value for name, value in frame.extra.items() if name.startswith(MAP_PREFIX) and name != MAP_GRID]
     if grid is None or not maps:
         return None
+    # Together and not added up: robots map the same squares.
     known = np.any([one != UNKNOWN for one in maps], axis=0)
+    # The third number of the grid is the side of a square [m].
     return float(known.sum() * grid[2] ** 2)
 
 
@@ -285,6 +288,7 @@ def board_html(
         lines.append(("score", f"{frame.score:.1f}"))
     if facts.victims and _can_find(drawing):
         lines.append(("victims found", f"{len(log.found)} of {facts.victims}"))
+    # Without a victim sensor no count of found ones can rise: only their number is shown.
     elif facts.victims:
         lines.append(("victims", f"{facts.victims}"))
     area = known_area(frame)

@@ -94,6 +94,7 @@ def cover(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
     """
     # Rows first or columns first: maps of long corridors differ by a factor.
     found = min(rectangles(filled, most), _turned(rectangles(filled.T, most)), key=len)
+    # The radio counts walls on a line: two that overlap would weaken it twice.
     if len(found) <= MAX_DISJOINT:
         return found
     return min(found, overlapping_rectangles(filled, most), key=len)
@@ -107,11 +108,13 @@ def rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
     found: list[Cells] = []
     left = filled.copy()
     for row in range(left.shape[0]):
+        # The caller refuses such a map: going on would only cost time.
         if len(found) > most:
             break
         # Steps up and down alternate: pairs of them are runs of true cells.
         edges = np.flatnonzero(np.diff(left[row].astype(np.int8), prepend=0, append=0))
         for start, stop in edges.reshape(-1, 2).tolist():
+            # Only rows that have the whole run: a rectangle must not hold a free cell.
             below = np.asarray(left[row:, start:stop].all(axis=1))
             # argmin of booleans is the first False, and 0 where there is none.
             end = row + (len(below) if below.all() else int(below.argmin()))
@@ -436,10 +439,12 @@ def check_picture(path: Path) -> None:
         ArenaFileError: It is one; says what to write.
     """
     for suffix in (".yaml", ".yml"):
+        # map_server's saver gives a picture and its description one name.
         beside = path.with_suffix(suffix)
         if beside.is_file() and _names(beside, path):
             raise ArenaFileError(f"{path}: is the picture of the map {beside.name}: load that file")
     grey, _ = read_grey(path)
+    # Rounded: the mean of three channels need not be whole.
     values = np.unique(np.rint(grey))
     if len(values) <= 2 or np.isin(values, MAP_VALUES).all():
         shown = ", ".join(f"{value:g}" for value in values.tolist())
@@ -456,6 +461,7 @@ def _names(file: Path, picture: Path) -> bool:
     if not is_map(value):
         return False
     name = value.mapping()["image"].data
+    # The last part only: the folder may differ where files were moved.
     return isinstance(name, str) and Path(name).name == picture.name
 
 
@@ -492,6 +498,7 @@ class GridMap:
 
     def at(self, x: int, y: int) -> tuple[int, int]:
         """Return row and column of a cell by MovingAI's x and y, whose y runs downwards."""
+        # Rows are stored from the bottom, as all grids here; MovingAI counts them from the top.
         return self.letters.shape[0] - 1 - y, x
 
 
@@ -592,6 +599,7 @@ def _walls(grid: GridMap, cell: float, height: float) -> Content:
     """Return the cells that are not free as walls."""
     frame = GridFrame(origin=(0.0, 0.0, 0.0), cell=(cell, cell))
     walls, low = _is(grid, WALLS), _is(grid, LOW)
+    # Walls and water apart: a box has one height and one colour.
     boxes = cover(walls, MAX_MAP_BOXES)
     bars = cover(low, MAX_MAP_BOXES) if low.any() else []
     if len(boxes) + len(bars) > MAX_MAP_BOXES:
@@ -667,6 +675,7 @@ def _starts(
     chosen: list[tuple[tuple[int, int], tuple[int, int]]] = []
     left: list[int] = []
     for line, words in rows:
+        # Scenarios have thousands of rows, each a task of its own; an arena needs a few start poses.
         if len(chosen) == MAX_SCENARIO_ROWS:
             left.append(line)
             continue
@@ -676,6 +685,7 @@ def _starts(
             inside = 0 <= row < free.shape[0] and 0 <= column < free.shape[1]
             if not inside or not free[row, column]:
                 raise ArenaFileError(f"{path}:{line}: the cell {x} {y} is not free on {grid.path.name}")
+        # Two robots on one cell would begin inside each other.
         if ends[0] == ends[1] or taken & set(ends):
             left.append(line)
             continue

@@ -260,6 +260,7 @@ def _check_dae(path: Path, data: bytes) -> None:
 
 def _check_ply(path: Path, data: bytes) -> None:
     """Refuse what has no PLY header, or announces no faces."""
+    # Headers are a few lines of text: a body of megabytes is not searched for its end.
     head, ended, _ = data[:100_000].partition(b"end_header")
     if not head.startswith(b"ply") or not ended:
         raise mesh_error(path, "it is no PLY: it has no header from ply to end_header")
@@ -277,6 +278,7 @@ def _check_ply(path: Path, data: bytes) -> None:
 
 def _check_glb(path: Path, data: bytes) -> None:
     """Refuse what is no binary glTF of the length that it announces."""
+    # The header of binary glTF: a magic word, the version, and the length of the whole file [bytes].
     if data[:4] != b"glTF" or int.from_bytes(data[8:12], "little") != len(data):
         raise mesh_error(path, "it is no binary glTF of the length that it announces")
 
@@ -394,6 +396,7 @@ def faces_of_file(path: Path) -> Mesh:
     vertices, faces, before = list[np.ndarray](), list[np.ndarray](), 0
     for _, own, found in _objects(path):
         vertices.append(own)
+        # Faces count the vertices of their own object; here all objects share one array.
         faces.append(found + before)
         before += len(own)
     corners, triangles = np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
@@ -418,6 +421,7 @@ def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
 
 def _check_reach(vertices: np.ndarray, name: str) -> None:
     farthest = float(np.abs(vertices).max(initial=0.0))
+    # In this form: NaN is refused as well.
     if not farthest <= MAX_COORDINATE:
         raise ArenaFileError(
             f"{name} reaches {farthest:g} m from its origin, at most {MAX_COORDINATE:g}; mind `scale`"

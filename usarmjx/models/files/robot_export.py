@@ -96,6 +96,7 @@ def stl_of(triangles: np.ndarray) -> bytes:
     facets = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
     # Flat triangles have no normal: zeros, from which readers compute their own.
     facets["normal"], facets["corners"] = normal / np.maximum(length, 1e-300), triangles
+    # The header must not begin with the word solid, by which readers know text files.
     return b"usarmjx".ljust(80, b"\0") + len(facets).to_bytes(4, "little") + facets.tobytes()
 
 
@@ -338,6 +339,7 @@ class _ModelWriter:
             if role == "visual":
                 material = ET.SubElement(solid, "material")
                 for tag in ("ambient", "diffuse"):
+                    # MuJoCo stores colours in single precision: 0.6 would be written with 16 digits.
                     add_child(material, tag, model.geom_rgba[geom].round(4))
 
     def _sdf_joint(self, root: ET.Element, body: int) -> None:

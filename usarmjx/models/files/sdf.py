@@ -173,6 +173,7 @@ class _SdfReader:
             if model is not None and pose is not None:
                 model.pose, model.placement = pose, ""
             scale = saved.first("scale")
+            # Gazebo saves a scale of 1 with every model: it is nothing to note.
             if scale is not None and (scale.text or "").split() not in (["1", "1", "1"], []):
                 self._dropped.setdefault(("saved state", "scale"), []).append(scale)
         for tag in ("insertions", "deletions"):
@@ -180,6 +181,7 @@ class _SdfReader:
 
     def _add_model(self, model: SdfModel, pose: Pose) -> None:
         """Add a model that stands in the world."""
+        # Before its links: a robot's solids must not stand in the arena where its start pose is.
         drive = next(drive_plugins(model), None)
         if drive is not None:
             self._robots.append((model, pose, drive))
@@ -220,6 +222,7 @@ class _SdfReader:
         for name, found in frames.items():
             groups.setdefault(_root(owner, name), []).append(found)
         for root, links in groups.items():
+            # A group without collisions would fall through the floor as a loose object.
             touched = any(found.link.first("collision") is not None for found in links)
             if root in stuck or not touched:
                 for found in links:
@@ -244,6 +247,7 @@ class _SdfReader:
             waiting.remove(joint)
             leaf = _hanging(joint, waiting, owner)
             door = self._door(joint, [found for name, found in frames.items() if _root(owner, name) in leaf])
+            # A leaf that is tied to the world at another place cannot turn.
             if door is None or not leaf.isdisjoint(_root(owner, name) for name in fixed):
                 self._hold(joint, owner, fixed)
                 continue
@@ -288,6 +292,7 @@ class _SdfReader:
         # Solids that are refused or only seen weigh too, on those that can be touched.
         shapes = [replace(shape, mass=shape.mass * max(mass, MIN_MASS) / held) for shape in shapes]
         name = self._free_name(model.path if len(links) == 1 else links[0].name)
+        # The file's own inertia, where it states one: the solids' is that of an even density.
         inertia = self._inertia(links, base)
         if inertia is not None:
             shapes = [replace(shape, mass=0.0) for shape in shapes]
@@ -343,6 +348,7 @@ class _SdfReader:
         made: list[Shape] = []
         for solid in collisions or visuals:
             touched = solid.tag == "collision"
+            # Collisions have no colour in SDF: they take that of the link's first visual.
             rgba: Rgba = (colours or [GREY])[0] if touched else colour_of(solid) or GREY
             # Without a surface fixed solids get one by their form, see `surface_of`.
             surface = "" if touched and use == "fixed" else LOOSE_SURFACE if touched else FIXTURE
@@ -427,6 +433,7 @@ class _SdfReader:
             return
         found = light.first("diffuse")
         words = (found.text or "").split() if found is not None else ["1", "1", "1"]
+        # Clipped below only: a colour above 1 makes a brighter lamp, see below.
         rgb = np.clip(numbers_of(found or light, " ".join(words[:3]), 3), 0.0, None)
         # At 1 m, to which our brightness refers, the three terms simply add up.
         dimming = sum(light.number(f"attenuation/{key}", usual) for key, usual in ATTENUATION)
@@ -516,12 +523,14 @@ def ground_under(shapes: Sequence[Shape], at: tuple[float, float, float], *, flo
         model = spec.compile()
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
+        # From above: a model's origin may lie a little below the surface that it stands on.
         start = np.array([x, y, z + MAX_BELOW])
         geom = np.zeros(1, np.int32)
         # 1: fixed geoms count; -1: no body is left out.
         distance = mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), None, 1, -1, geom, None)
         if geom[0] >= 0:
             found.append(float(start[2] - distance))
+    # A floor more than a metre above the point is not under it: the point is in a cellar.
     return max((height for height in found if height <= z + MAX_BELOW), default=z)
 
 

@@ -43,6 +43,7 @@ MOVE_PLUGINS = ("planarmove", "multicoptermotor", "omnidrive", "trackedvehicle",
 
 def inverse(pose: Pose) -> Pose:
     """Return the inverse of a pose."""
+    # The transpose of a rotation is its inverse.
     return Pose(-pose.mat.T @ pose.pos, pose.mat.T)
 
 
@@ -65,6 +66,7 @@ def read_pose(element: LinedElement | None) -> Pose:
         wanted = "7 numbers, x y z qx qy qz qw" if is_quat else "6 numbers, x y z roll pitch yaw"
         raise element.error(f"<pose> has {(element.text or '')[:60]!r}, expected {wanted}")
     if is_quat:
+        # SDF has w last, MuJoCo and `mat_of` have it first.
         x, y, z, w = numbers[3:]
         if np.linalg.norm(numbers[3:]) < 1e-9:
             raise element.error("<pose> has a quaternion of length 0")
@@ -135,6 +137,7 @@ class SdfModel:
         first, _, rest = name.partition("::")
         if first in self._inner:
             inner = self._inner[first]
+            # `seen` begins anew inside: frames of an inner model cannot name those of the outer one.
             return self.pose_of_model(inner, seen).then(inner.frame(rest))
         found = self._entities.get(name)
         if found is None:
@@ -150,6 +153,7 @@ class SdfModel:
     def _base(entity: LinedElement) -> str:
         """Return the frame that an entity's pose is relative to if it does not say so."""
         if entity.tag == "joint":
+            # SDF places a joint in its child's frame, unlike URDF, which places it in the parent's.
             return entity.word("child")
         return entity.get("attached_to", "") if entity.tag == "frame" else ""
 
@@ -192,6 +196,7 @@ class SdfFiles:
         Raises:
             ArenaFileError: An unreadable file, or one with neither.
         """
+        # A world includes one model many times: its file is parsed once.
         if path not in self._read:
             self._read[path] = read_lined_xml(path)
         root = self._read[path]
@@ -261,6 +266,7 @@ class SdfFiles:
             raise include.error("<include> has no <uri>")
         file = self._model_file(uri, include.path)
         if file is None:
+            # Only now: a user's own copy of such a model comes first.
             if content := BUILTIN.get(_last_word(uri)):
                 return self._included(self._model(_builtin(content, include), owner, above), include)
             self.notes.append(
@@ -289,6 +295,7 @@ class SdfFiles:
             made.pose, made.placement = pose, include.word("placement_frame")
         static = _truth(include.first("static"))
         if static is not None:
+            # For inner models, too: they have taken over the value that the include replaces.
             _set_static(made, static)
         made.place = include.place
         return made
@@ -562,6 +569,7 @@ class _UrdfWriter:
             parent, child = (joint_end(joint, end, self._links) for end in ("parent", "child"))
             if joint.element.word("parent") == WORLD:
                 self.notes.append(f"{joint.element.place}: joint {joint.name!r} to the world is left out")
+            # URDF describes trees: a second joint above a link cannot be written.
             elif parent is None or child is None or child in seen:
                 self.notes.append(f"{joint.element.place}: joint {joint.name!r} closes a loop or has no link")
             else:
@@ -578,6 +586,7 @@ class _UrdfWriter:
             root.append(self._joint(joint))
         for model in all_models(self._model):
             for plugin in model.element.all("plugin"):
+                # URDF has no plugins of its own: they are Gazebo's, within its element.
                 gazebo = _element("gazebo", plugin)
                 gazebo.append(plugin)
                 root.append(gazebo)
@@ -618,7 +627,9 @@ class _UrdfWriter:
     def _inertial(self, path: str, link: SdfLink, inertial: LinedElement) -> LinedElement:
         made = _element("inertial", inertial)
         made.append(_origin(inertial, self._local(path, link, inertial)))
+        # `repr` writes a float so that it reads back to the bit.
         made.append(_element("mass", inertial, value=repr(inertial.number("mass", 1.0))))
+        # SDF's defaults [kg m2]; URDF has none.
         keys = {"ixx": 1.0, "iyy": 1.0, "izz": 1.0, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
         values = {key: repr(inertial.number(f"inertia/{key}", usual)) for key, usual in keys.items()}
         made.append(_element("inertia", inertial, **values))
@@ -669,6 +680,7 @@ class _UrdfWriter:
             # 0 in URDF is no limit, for which SDF has -1 or a huge number.
             limits[key] = repr(value if 0 < value < FREE_TURN else 0.0)
         made.append(_element("limit", element, **limits))
+        # Negative ones would feed energy into the joint.
         damping, friction = (
             repr(max(element.number(f"axis/dynamics/{key}", 0.0), 0.0)) for key in ("damping", "friction")
         )
@@ -685,6 +697,7 @@ class _UrdfWriter:
             yield self._about(path, made)
         friction = link.link.first("collision/surface/friction/ode/mu")
         if friction is not None:
+            # ODE's `mu` is called mu1 in Gazebo's extension of URDF.
             made = _element("mu1", friction)
             made.text = friction.text
             yield self._about(path, made)
@@ -703,6 +716,7 @@ def _element(tag: str, like: LinedElement, **attributes: str) -> LinedElement:
 
 
 def _numbers(pose: Pose) -> tuple[str, str]:
+    # Flipped back: SDF and URDF have z up, as MuJoCo, and USARSim's angles have z down.
     angles = flip_angles(usarsim_angles(pose.mat))
     return " ".join(map(repr, pose.pos.tolist())), " ".join(map(repr, angles))
 

@@ -202,6 +202,7 @@ class _Parser:
 
     def _read(self, path: Path, above: tuple[Path, ...]) -> Iterator[StageToken]:
         """Yield the tokens of a file, with those of a file in the place of its `include`."""
+        # Resolved: a link or another spelling of the path leads to the same file.
         if path.resolve() in above or len(above) > MAX_STAGE_DEPTH:
             raise ArenaFileError(f"{path} includes itself")
         # A few files, each of which includes the next one twice, stand for millions.
@@ -321,10 +322,12 @@ def _tokens(path: Path, text: str) -> Iterator[StageToken]:
     while at < len(text):
         found = TOKEN.match(text, at)
         if found is None:
+            # Cut short: a binary file may be one line of megabytes.
             rest = text[at : at + 20].splitlines()[0]
             raise ArenaFileError(f"{path}:{line}: {rest!r} is no part of a world file")
         at = found.end()
         kind = found.lastgroup or ""
+        # Ends of lines have a group apart from blanks: errors name the line.
         if kind == "line":
             line += 1
         elif kind != "space":
@@ -346,6 +349,7 @@ class StagePose:
 
     def then(self, offset: "StagePose") -> "StagePose":
         """Return a pose that is given relative to this one."""
+        # Models turn about the vertical only, so heights and headings add.
         cos, sin = math.cos(self.heading), math.sin(self.heading)
         return StagePose(
             x=self.x + cos * offset.x - sin * offset.y,
@@ -420,12 +424,14 @@ class _StageReader:
             self._add_start(model, pose)
             return
         if model.kind not in SOLID_KINDS:
+            # One note for a type, at its first model: a world may have hundreds of them.
             self._left_out.setdefault(model.kind, model)
             return
         self._note_unread(model, READ_OF_MODELS)
         size = self._size(model)
         like = self._looks(model)
         if like is not None:
+            # The origin moves the geometry alone: models on it count from the pose without it.
             centre = pose.then(self._pose(model, "origin"))
             before = len(self._shapes)
             self._shapes += [_placed(shape, centre) for shape in self._solids(model, size, like)]
@@ -450,6 +456,8 @@ class _StageReader:
         taken = {start.tag for start in self._starts}
         name = plain_name(model.text("name")) or f"robot{len(taken)}"
         tag = unused_name(name, taken)
+        # Stage's robots stand on their foot; a start pose is that of a chassis above the ground (manual
+        # 5.3.5).
         at = (pose.x, pose.y, pose.z + START_ELEVATION)
         self._starts.append(StartPose(tag=tag, at=at, yaw=_turned(pose.heading)))
         self._notes.append(f"{model.place}: robot {model.word} {name!r} becomes the start pose {tag}")
@@ -501,6 +509,7 @@ class _StageReader:
         from PIL import ImageColor
 
         try:
+            # Pillow returns four numbers for a name with an alpha value.
             red, green, blue = ImageColor.getrgb(_plain_colour(str(name.values[0])))[:3]
         except ValueError:
             self._notes.append(f"{name.place}: the colour {str(name.values[0])[:40]!r} is not known: red")
@@ -538,6 +547,7 @@ class _StageReader:
         if not dark.any():
             self._notes.append(f"{bitmap.place}: {file.name} has no dark pixels: nothing stands there")
             return
+        # White margins do not count: Stage stretches the dark pixels alone to the size of the model.
         rows, columns = np.flatnonzero(dark.any(1)), np.flatnonzero(dark.any(0))
         r0, r1, c0, c1 = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
         high, wide = dark.shape
@@ -578,6 +588,7 @@ class _StageReader:
             if foot >= head:
                 raise block.error(f"z is [{foot:g} {head:g}], expected the lower height first")
             try:
+                # MuJoCo's contacts need convex solids, and the outline of a block may be concave.
                 parts = convex_parts((ring - (low + high) / 2) * scale)
             except ValueError as error:
                 raise block.error(f"the block is {error}") from error
@@ -589,6 +600,7 @@ class _StageReader:
     def _corners(self, block: StageModel) -> np.ndarray:
         """Return the corners of a block (n, 2)."""
         count = block.number("points", 0)
+        # Bounded before the loop: the count is whatever the file says, and need not match its points.
         if count != int(count) or not 3 <= count <= 10_000:
             raise block.error(f"points is {count:g}, expected a whole number from 3 on")
         found = [block.numbers(f"point[{i}]", (2,)) for i in range(int(count))]

@@ -113,6 +113,7 @@ def mend_urdf(root: LinedElement) -> list[str]:
             notes.append(
                 f"{element.place}: joint {element.get('name')!r} is continuous and has limits: they hold"
             )
+            # The range of a continuous joint is not read, see `_limit`: as a revolute one it keeps them.
             element.set("type", "revolute")
     return notes
 
@@ -152,6 +153,7 @@ def joints_by_parent(root: LinedElement, links: Collection[str]) -> dict[str, li
                     f"known: {listed([*links], MAX_LISTED_LINKS)}"
                 )
         child = link_at(joint, "child")
+        # URDF describes trees: a link has one joint above it.
         if child in owners:
             raise joint.error(f"joint {name!r}: link {child!r} hangs on {owners[child].get('name')!r} too")
         owners[child] = joint
@@ -208,6 +210,7 @@ def urdf_content(path: Path, surface: str = "", *, resources: Resources | None =
     """
     resources = resources or Resources()
     root = read_urdf(path)
+    # Counted before any is read: cutting one into convex pieces may take seconds.
     meshes = sum(1 for _ in root.iter("mesh"))
     if meshes > MAX_MESH_FILES:
         raise ArenaFileError(f"{path}: names {meshes} meshes; at most {MAX_MESH_FILES}")
@@ -354,6 +357,7 @@ class _UrdfReader:
         self._root, self._path, self._resources = root, path, resources
         self._links = {link.get("name", ""): link for link in root.all("link")}
         self._spec = mujoco.MjSpec()
+        # URDF states radians; MuJoCo's default is degrees.
         self._spec.compiler.degree = False
         # Some exporters write no collision geometry at all: such a robot would fall through the floor.
         self._visual_only = all(link.first("collision/geometry") is None for link in self._links.values())
@@ -501,6 +505,7 @@ class _UrdfReader:
     def _add_joint(self, joint: LinedElement, body: mujoco.MjsBody) -> bool:
         """Add a link's joint; return whether it moves."""
         name, kind = joint.get("name", ""), joint.get("type", "")
+        # MuJoCo welds a body without a joint to its parent.
         if kind == "fixed":
             return False
         if kind in HELD:
@@ -564,6 +569,7 @@ class _UrdfReader:
             mass = 0.0 if weight is None else float(attribute_numbers(weight, "value", 1)[0])
             if mass < 0:
                 raise inertial.error(f"link {name!r} has a mass of {mass:g} kg")
+        # MuJoCo would otherwise derive mass and inertia from the geoms.
         body.explicitinertial = True
         if inertial is None or mass <= MIN_MASS:
             body.mass, body.inertia = 0.0, [0.0] * 3
@@ -625,6 +631,7 @@ class _UrdfReader:
         elif form.tag in ("cylinder", "capsule"):
             radius, length = lengths_of(form, "radius", 1)[0], lengths_of(form, "length", 1)[0]
             kind = kinds.mjGEOM_CYLINDER if form.tag == "cylinder" else kinds.mjGEOM_CAPSULE
+            # MuJoCo has half lengths, URDF whole ones.
             body.add_geom(type=kind, size=[radius, length / 2, 0], **like)
         elif form.tag == "mesh":
             for number, mesh in enumerate(self._mesh(form, 1 if rolls else self._pieces)):
@@ -638,6 +645,7 @@ class _UrdfReader:
         file = form.get("filename", "")
         scale = attribute_numbers(form, "scale", 3, "1 1 1")
         key = (file, tuple(scale.tolist()), pieces)
+        # Wheels of a robot share a file: it is read and cut once.
         if key not in self._meshes:
             found = self._resources.file(file, form.path) if file else None
             if found is None:
@@ -659,5 +667,6 @@ def body_name(link: str) -> str:
 
 def _quat(mat: np.ndarray) -> np.ndarray:
     quat = np.zeros(4)
+    # The C function reads nine numbers in a row, which a transposed matrix is not.
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(mat).ravel())
     return quat

@@ -314,6 +314,7 @@ class _Tally:
             self._heights = self._within(self._heights + made, MAX_HEIGHTS, element, "heights")
         if element.tag == "texture" and "builtin" in element.attrib:
             made = _product(element, "width") * _product(element, "height")
+            # A texture of MJCF without a type is a cube.
             made *= CUBE_SIDES.get(element.get("type", "cube"), 1)
             self._texels = self._within(self._texels + made, MAX_TEXELS, element, "pixels")
 

@@ -143,6 +143,7 @@ def _conveyor(belt: Conveyor) -> str:
 def _loose(loose: LooseObject) -> str:
     if loose.inertia is not None and (loose.inertia.mass <= 0 or not _is_inertia(loose.inertia)):
         return f"loose object {loose.name!r}: inertia is that of no body: {loose.inertia}"
+    # MuJoCo does not compile a body that moves and has no mass.
     if loose.inertia is None and sum(shape.mass for shape in loose.shapes) <= 0:
         return f"loose object {loose.name!r} has no mass: give one of its shapes a mass [kg]"
     if any(shape.conveyor is not None for shape in loose.shapes):
@@ -249,6 +250,7 @@ def scale_notes(arena: ArenaSpec, path: Path) -> tuple[str, ...]:
         else next((s for s in SCALES if LEAST_SPAN <= s * span <= GOOD_SPAN), 0.001)
     )
     said = remedy.format(name=path.name, scale=scale, cell=GOOD_SPAN / span)
+    # Route networks span kilometres: no factor is proposed for them.
     if not said:
         return ()
     limit = f"over {MAX_SPAN:g} m" if span > MAX_SPAN else f"under {100 * MIN_SPAN:g} cm"
@@ -627,6 +629,7 @@ def _content(content: Content, value: FileValue) -> Content:
         try:
             ARENA_READER.validate(shape)
         except ArenaFileError as error:
+            # At the line of the arena's file: that of the other file is not known any more.
             raise value.error(str(error)) from None
     return content
 
@@ -655,6 +658,7 @@ def _scale(value: FileValue) -> Scale:
         scale = Scale(ARENA_READER.convert(Vec3, value))
     else:
         scale = Scale([ARENA_READER.convert(float, value)] * 3)
+    # A negative factor mirrors a mesh; zero flattens it, and MuJoCo needs a volume.
     if 0.0 in scale:
         raise value.error("a scale is not zero")
     return scale
@@ -667,6 +671,7 @@ def _mesh(value: FileValue) -> Mesh:
         return faces_of_file(given.file) if given.rays == "faces" else Mesh(vertices_of_file(given.file))
     if isinstance(value.data, str):
         return Mesh(vertices_of_file(_file(value)))
+    # Reshaped, so that an empty list has three columns and is refused with its line below.
     corners = np.array(ARENA_READER.convert(tuple[Vec3, ...], value)).reshape(-1, 3)
     return Mesh(checked_corners(corners, f"{value.place}: {value.name}"))
 

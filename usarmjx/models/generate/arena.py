@@ -315,6 +315,7 @@ def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, alon
 def place_tags(builder: ArenaBuilder, free: list[Cell]) -> None:
     """Put tags on the floor beside the start poses, short of the strips."""
     draw = builder.random_stream("tags")
+    # Strips of clutter leave less room beside the middle of a cell [m].
     side = 0.3 if any(builder.corner) else 0.42
     for cell in draw.shuffled(free)[: builder.max_count("tags")]:
         x, y = middle(cell)
@@ -348,6 +349,7 @@ def place_obstacles(builder: ArenaBuilder) -> None:
     left = min(builder.max_count("obstacles"), len(builder.plan.tree) // 2)
     heights = {name: ring_height(builder, name) for name in OBSTACLES.names()}
     for ring in rings[: math.ceil(share * len(rings))]:
+        # A smaller ring later in the list may still fit.
         if len(ring) > left:
             continue
         left -= len(ring)
@@ -492,6 +494,7 @@ def generate_many(  # noqa: PLR0913 - as above
     starts: int = DEFAULT_STARTS,
 ) -> list[ArenaSpec]:
     """Return arenas of seeds derived from one; see `generate`."""
+    # Not seed + i: batches of neighbouring seeds would share all arenas but one.
     seeds = np.random.SeedSequence(seed).generate_state(count, np.uint32).tolist()
     return [generate(kind, size, each, difficulty, robot, reachable, starts=starts) for each in seeds]
 
@@ -534,6 +537,7 @@ def _fill(builder: ArenaBuilder, count: int, reachable: float) -> None:
     place_obstacles(builder)
     boards = place_boards(builder)
     free = [cell for cell in plan.tree if cell not in boards and cell not in builder.obstructed]
+    # A wide robot needs the whole corridor, which leaves no strip for clutter.
     if _passes(builder.footprint, REACH_CELL_SIZES[0], STRIP):
         draw = builder.random_stream("corner")
         builder.corner = (draw.choice((-1, 1)), draw.choice((-1, 1)))
@@ -569,6 +573,7 @@ def _upstairs(builder: ArenaBuilder, victim: bool) -> None:
 def _arena(builder: ArenaBuilder, name: str, robot: str) -> ArenaSpec:
     """Return the finished arena, with all numbers rounded."""
     outer, inner = builder.plan.wall_shapes()
+    # The first of a shuffled list: more radio shadow keeps the walls of less.
     inner = builder.random_stream("shadow").shuffled(inner)
     twice = round(builder.difficulty.radio_shadow * len(inner))
     sheets = [sheet for wall in inner[:twice] for sheet in doubled(wall)]

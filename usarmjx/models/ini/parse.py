@@ -147,6 +147,7 @@ class LineParser:
         """Read text up to a comment, stepping over quotes and brackets, which must be closed."""
         start, opened = self.pos, list[int]()
         while (here := self._peek()) and (opened or here != ";"):
+            # Stepped over as a whole: a ';' in quotes starts no comment, and a bracket there opens nothing.
             if here in _QUOTES:
                 self._quoted()
                 continue
@@ -168,6 +169,7 @@ class LineParser:
         if self._peek() in _QUOTES:
             return self._quoted()
         word = self._word()
+        # Only the single quote makes a reference: double quotes are a text's.
         if self._peek() != "'":
             return self._scalar(word)
         if not _NAME.fullmatch(word):
@@ -179,6 +181,7 @@ class LineParser:
     def _group(self, depth: int) -> IniValue:
         """Read a pair of brackets with its content."""
         opening = self.pos
+        # Each bracket is a level of recursion: deeper ones would end in a RecursionError.
         if depth > MAX_DEPTH:
             self.fail(
                 f"the '(' in column {opening + 1} is number {depth} within another", f"up to {MAX_DEPTH}"
@@ -200,6 +203,7 @@ class LineParser:
                 self.fail(f"nothing stands before the {self._peek()!r} in column {self.pos + 1}", "a value")
             else:
                 values.append(self._item(depth))
+            # A `Struct` has names and a tuple has none: a mixture would lose one or the other.
             if fields and values:
                 self.fail("some values within brackets have names and some have not", "(A=1,B=2) or (1,2)")
             more = self._separator(opening) == ","
@@ -263,6 +267,7 @@ class LineParser:
             self.fail(f"{quote_short(text)} is too large for a number", "at most 1.8e308")
         if _INTEGER.fullmatch(text) and len(text) > MAX_DIGITS:
             self.fail(f"a whole number of {len(text)} characters", f"at most {MAX_DIGITS}")
+        # Kept apart from a float: `-key=1` removes no line with 1.0.
         return int(text) if _INTEGER.fullmatch(text) else number
 
     def _unclosed(self, opening: int) -> NoReturn:
@@ -345,6 +350,7 @@ class IniFile:
     def section(self, name: str) -> Section:
         """Return all lines under that name in order, case ignored; no lines if there is no such section."""
         parts = self._by_name.get(name.lower(), [])
+        # Messages show the spelling of the file, not that of the caller.
         written = parts[0].name if parts else name
         return Section(
             written,
@@ -354,6 +360,7 @@ class IniFile:
 
     @cached_property
     def _by_name(self) -> dict[str, list[Section]]:
+        # Indexed once: a search for each name would be quadratic in a file of many sections.
         found: dict[str, list[Section]] = {}
         for part in self.sections:
             found.setdefault(part.name.lower(), []).append(part)
@@ -377,6 +384,7 @@ def _decode(data: bytes) -> str:
     # Unreal writes its ini files in UTF-16 with a byte order mark.
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16")
+    # As UTF-8 the mark would become the first letter of the first line, which is then no header.
     if data.startswith(b"\xef\xbb\xbf"):
         return data.decode("utf-8-sig")
     try:
@@ -402,6 +410,7 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
     # Not splitlines, which also splits at form feeds and Unicode's separators.
     for number, text_line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
         bare = text_line.strip()
+        # Before the count: a file may have any number of comments.
         if not bare or bare.startswith((";", "//")):
             continue
         cursor = LineParser(text_line, f"{path}:{number}")
@@ -426,6 +435,7 @@ def _header(cursor: LineParser) -> str:
     """Read a whole `[Section]` line and return the name."""
     text = cursor.text.lstrip()
     found = _HEADER.match(text)
+    # Unprintable letters are refused: names of sections stand in messages, which reach a terminal.
     if not found or not found.group(1).strip() or not found.group(1).strip().isprintable():
         cursor.fail(f"{quote_short(text)} is no section header", "[Name]")
     cursor.pos = len(cursor.text) - len(text) + found.end()
@@ -445,6 +455,7 @@ def _key(cursor: LineParser) -> tuple[str, str, int | None]:
         )
     cursor.pos = len(left) + 1
     prefix, key, round_index, square_index = found.groups()
+    # Unreal's ini files write indices with either kind of brackets.
     index = round_index or square_index
     return prefix, key, int(index) if index else None
 
@@ -543,6 +554,7 @@ def key_text(line: Line) -> str:
 
 def as_number(line: Line, value: IniValue | None, name: str, *, above: float = -math.inf) -> float:
     """Return a finite number, which must be greater than `above`."""
+    # A bool is an int in Python: True would count as the length 1.
     if isinstance(value, bool) or not isinstance(value, int | float):
         fail(line, f"{name} is {_quoted(value)}", "a number")
     if not (abs(value) <= MAX_NUMBER and value > above):
@@ -626,6 +638,7 @@ def reject_unknown(line: Line, struct: Struct, allowed: Iterable[str]) -> None:
     """Raise SpecError for an unknown name within brackets."""
     known = list(allowed)
     lowered = {name.lower() for name in known}
+    # A misspelt name would otherwise leave a default in force without a word.
     unknown = [key for key, _ in struct.fields if key.lower() not in lowered]
     if unknown:
         fail(line, f"{key_text(line)} has no {', '.join(unknown)}", f"some of {', '.join(known)}")

@@ -227,6 +227,7 @@ class _Translation:
             return None
         kept: list[tuple[str, IniValue]] = [("ItemClass", ours)]
         for key, value in line.value.fields:
+            # The robot itself is the parent by default, and no part of ours has its class as a name.
             on_robot = key.lower() == "parent" and str(value).lower().startswith("usarbot.")
             if key.lower() != "itemclass" and not on_robot:
                 kept.append((key, value))
@@ -328,6 +329,7 @@ def sort_sections(
     found = SortedSections()
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
+            # All repetitions of a section as one: the last value of a key counts, wherever it stands.
             section = file.section(name)
             some = section.lines or section.removals
             if name.startswith(PACKAGE_PREFIX) or not some or name.removeprefix(ROBOT_PREFIX) in classes:
@@ -337,6 +339,7 @@ def sort_sections(
             if name.startswith(ROBOT_PREFIX):
                 _take_section(found, section, robots, settings, Units(uu_per_metre=file.uu_per_metre), notes)
             else:
+                # A section may consist of removals alone.
                 line = (section.lines or [section.removals[0].line])[0]
                 why = reason_of_section(section.name) or "ignored"
                 notes.add(line, f"section [{section.name}] is not about robots: {why}")
@@ -378,6 +381,7 @@ def _track_of(name: str, robots: Registry[RobotSpec]) -> tuple[str, str]:
     """Return the robot and the end of a name like `TarantulaFrontTrack`; empty if it is none."""
     for end in TRACKS:
         owner = name.lower().removesuffix(f"{end}track")
+        # `removesuffix` returns the name itself where it ends otherwise.
         if owner != name.lower() and owner in robots:
             return robots.get(owner).name, end
     return "", ""
@@ -449,6 +453,7 @@ def _take_lists(orders: RobotSection, section: Section) -> None:
             orders.lists.setdefault(f"Add{key}", []).extend((line, orders.units) for line in lines)
         elif lines:
             orders.lists[key] = [(line, orders.units) for line in lines]
+            # A list that begins anew replaces the class' own, so nothing of that is left to drop.
             orders.drops.pop(key, None)
     for key in ADDS:
         orders.lists.setdefault(key, []).extend((line, orders.units) for line in section.get_all(key))
@@ -515,6 +520,7 @@ def read_files(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) 
         SpecError: An invalid file; names file and line.
         UsageError: A scale that is not above 0.
     """
+    # In this form: NaN is refused as well.
     if not uu_per_metre > 0:
         raise UsageError(f"Unreal units per metre are {uu_per_metre:g}, expected a number above 0")
     return tuple(replace(read_ini(Path(path)), uu_per_metre=uu_per_metre) for path in paths)

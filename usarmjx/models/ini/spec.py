@@ -76,6 +76,7 @@ def read_roles(lines: Sequence[Line]) -> dict[int, WheelRole]:
     for line in lines:
         struct = as_struct(line)
         reject_unknown(line, struct, ("Number", "PowerType", "SteerType", "MaxSteerAngle"))
+        # The index of the line, as in Wheels(2), counts where Number is missing.
         number = int(number_of(line, struct, "Number", float(line.index or 0), above=-1.0))
         types: list[str | None] = []
         for key, allowed in (("PowerType", POWER_TYPES), ("SteerType", STEER_TYPES)):
@@ -113,6 +114,7 @@ def drive_of(
     braked = _braked(wheels, driven, notes, car=car)
     idle = {part.name for part in parts if part.is_wheel} - driven
     kept = tuple(_undriven(part, braked) if part.name in idle else part for part in parts)
+    # The first size of every round solid is its radius [m].
     radii = {part.name: part.shapes[0].size[0] for part in kept if part.is_wheel}
     # Radius and speed are those of the first driven wheel: commands in rad/s refer to it.
     radius = radii[next(pair.name for pair in wheels if pair.name in driven)]
@@ -174,6 +176,7 @@ def change_wheels(robot: RobotSpec, roles: Mapping[int, WheelRole]) -> RobotSpec
                 role.line, f"wheel {number} of {robot.name} has no motor for that", "Not_Powered, Not_Steered"
             )
         if not powered:
+            # A motor holds its wheel at speed 0; without one the wheel rolls.
             parts[wheel.joint] = replace(parts[wheel.joint], motor=None)
         if role.steers and role.max_steer is not None:
             drive = replace(drive, max_steer=role.max_steer)
@@ -206,6 +209,7 @@ def _is_driven(pair: JointPair, roles: Mapping[int, WheelRole], notes: WarningLo
         return role.power != "Not_Powered"
     if _is_holonomic(roles):
         return False
+    # A skid steer turns by the difference of its sides: a wheel in the middle is on neither.
     aside = abs(pair.chassis_position[1]) > MIDDLE_TOLERANCE
     if not aside:
         notes.add(pair.line, f"wheel {pair.name} is in the middle and has no PowerType: it rolls freely")
@@ -368,6 +372,7 @@ class BuildContext:
 def item_name(line: Line) -> tuple[str, str]:
     """Return class, as its type, and name of a line of a list, in lower case; a class left out is empty."""
     struct = as_struct(line)
+    # A mission package has no ItemClass: its name alone identifies it.
     package = struct.get("PkgName")
     if package is not None:
         return "", as_name(line, package, "PkgName").lower()
@@ -444,6 +449,7 @@ def _new_robot(orders: RobotSection, pairs: Sequence[JointPair], sources: BuildC
     line, weight_line = _required(orders, "Dimensions"), _required(orders, "Weight")
     weight = as_number(weight_line, weight_line.value, "Weight", above=0.0)
     size = orders.units.position(as_vector(line, line.value, "Dimensions"))
+    # The conversion to z down makes the height negative; a length has no sign.
     x, y, z = (abs(edge) / 2 for edge in size)
     if min(x, y, z) == 0:
         fail(line, "Dimensions have an edge of no length", "length, width and height of the chassis")
@@ -532,6 +538,7 @@ def _with_items(
         fresh: set[tuple[str, str]] = set()
         for line, mount in read[key]:
             item = (mount.kind.lower(), mount.name.lower())
+            # Twice in the files is a slip; once replaces the class' own item of that name.
             if item in fresh:
                 fail(line, f"there is a {mount.kind} {mount.name} already", "another ItemName")
             fresh.add(item)

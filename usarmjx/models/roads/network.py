@@ -165,10 +165,12 @@ class RouteNetwork:
     def entries(self) -> frozenset[PointId]:
         """Points to which exits lead."""
         parts = [part for _, part in self.parts()]
+        # The format gives spots no exits.
         return frozenset(to for part in parts if not isinstance(part, Spot) for _, to in part.exits)
 
     def lane(self, segment: int, lane: int) -> Lane:
         """Return a lane by its numbers."""
+        # Numbers of the format begin with 1.
         return self.segments[segment - 1].lanes[lane - 1]
 
     def parts(self) -> Iterator[tuple[tuple[int, int], Lane | Zone | Spot]]:
@@ -304,6 +306,7 @@ def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> lis
     if not (mission.name and mission.rndf):
         faults.append((("name",), "a mission needs a name and the name of its route network"))
     for limit in mission.speed_limits:
+        # In this form: NaN is refused as well.
         if not 0 <= limit.low <= limit.high <= MAX_SPEED_MPH:
             expected = f"0 <= lowest <= highest <= {MAX_SPEED_MPH:g}"
             text = f"speeds {limit.low:g} and {limit.high:g}: expected {expected}"

@@ -350,6 +350,7 @@ def _speed_limits(lines: RoadLines, into: list[SpeedLimit]) -> None:
         (number,) = lines.parsed(lines.word, 1, line)
         # The last line of a number: of two limits the later one is too many.
         lines.fault_lines["speed_limit", number] = line
+        # The format states miles per hour.
         low, high = (
             lines.real(w, "speed", 0.0, MAX_SPEED_MPH, line) for w in lines.words(2, "lowest highest")
         )
@@ -624,6 +625,7 @@ def _zone(
 def _spot(lines: RoadLines, owner: tuple[int, int]) -> Spot:
     head = _Head(lines, owner)
     head.read("", "spot_width", "checkpoint")
+    # The mouth and the parking position: two points give a spot its direction.
     lines.count(len(head.points), 2, f"waypoints of {point_name(owner)}")
     lines.end("end_spot", "spot", "end_zone", "zone", "segment", "end_file")
     return Spot(

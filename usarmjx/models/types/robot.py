@@ -81,6 +81,7 @@ class Motor:
     @property
     def strongest(self) -> float:
         """Largest torque or force, moving or standing still [N m or N]."""
+        # MuJoCo has one range of force for a joint's actuators, which must allow each of the three.
         return max(self.torque, self.brake or 0.0, self.stall_torque or 0.0)
 
 
@@ -326,6 +327,7 @@ def _reader() -> "Reader":
 def _last_of_each(kind: type, overrides: Options) -> dict[str, object]:
     """Return overrides by key; of two spellings of a field the last one counts."""
     names = _reader().names(kind)
+    # Keys of no field stay as they are: the reader refuses them by the spelling of the file.
     last = {names.get(field_name(key), key): (key, value) for key, value in overrides}
     return dict(last.values())
 

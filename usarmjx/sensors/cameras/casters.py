@@ -135,6 +135,7 @@ class GeomCaster:
 
     def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
         """See `Caster`."""
+        # Unwanted rays keep their place: shapes are fixed in a traced program, so none can be left out.
         rays = _masked_rays(wanted, jnp.asarray(origin).T, jnp.asarray(direction).T)
         return RayHits(*nearest_hits(self._geoms, *rays, SOLID_QUERY))
 
@@ -145,6 +146,7 @@ class GeomCaster:
         dark = block.distance < beams.away
         if beams.carrier is None:
             return dark
+        # -1, no hit, would read the last geom's label; the result of such rays is dropped below.
         label = jnp.asarray(self.appearance.label)[jnp.maximum(block.geom_index, 0)]
         # A lamp sits in or on its robot, which would keep all of its light.
         own = label == jnp.asarray(beams.carrier)[jnp.maximum(beams.source, 0)]
@@ -170,6 +172,7 @@ def _masked_rays(wanted: Array, start: Array, along: Array) -> tuple[jax.Array, 
 
     A bundle without wanted rays looks up from far above, where it hits nothing and costs little.
     """
+    # Filled up to whole bundles; the fill is cut off at the end.
     missing = -len(wanted) % TILE_BUNDLE_SIZE
     asked = _padded(jnp.asarray(wanted), missing).reshape(-1, TILE_BUNDLE_SIZE)
     # The first wanted ray of the bundle: copies of it do not widen the bundle's cone.

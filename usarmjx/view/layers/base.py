@@ -57,6 +57,7 @@ def robot_colors(slots: np.ndarray) -> np.ndarray:
 def scale_colors(share: np.ndarray) -> np.ndarray:
     """Return colours of shares from 0, bad, to 1, good (...,), 0 to 255 (..., 3)."""
     stops = np.linspace(0.0, 1.0, len(SCALE))
+    # NumPy interpolates one channel at a time, and keeps shares outside of [0, 1] at the ends.
     columns = [np.interp(share, stops, SCALE[:, channel]) for channel in range(3)]
     return np.stack(columns, -1).astype(np.uint8)
 
@@ -120,6 +121,7 @@ class NodeLayer(Layer):
         # The nodes of the earlier drawing may hang below the same path.
         self.end()
         self.scene, self.root = scene, f"{prefix}/{self.name.lower().replace(' ', '_')}"
+        # One node above all others: a single message shows or hides the layer.
         self._top = scene.add_frame(self.root, show_axes=False, visible=self._on)
         self.draw(drawing)
 
@@ -163,6 +165,7 @@ class LineNode:
         ends = np.asarray(ends, np.float32)
         colors = np.asarray(rgb, np.uint8)
         if colors.ndim == 2:
+            # viser colours the two ends of a line apart.
             colors = np.repeat(colors[:, None], 2, 1)
         # Added with the first line and hidden without any: a node of nothing is never sent.
         if self._handle is None and len(ends):
@@ -286,6 +289,8 @@ class InstanceNode:
         cast_shadow: bool = False,
     ) -> None:
         self._scene, self._name, self._shape = scene, name, shape
+        # None is opaque to viser; a number may put a mesh among the transparent ones, which are sorted by
+        # depth.
         self._opacity = None if opacity >= 1 else opacity
         self._cast_shadow = cast_shadow
         self._handle: viser.BatchedMeshHandle | None = None

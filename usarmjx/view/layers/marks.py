@@ -129,6 +129,7 @@ class TagLayer(NodeLayer):
         """Show dropped tags, too."""
         del drawing
         dropped = np.asarray(frame.dropped_tags, np.float32).reshape(-1, 3)
+        # Tags stay where they are dropped: an equal array has nothing new to send.
         if self._dropped is not None and np.array_equal(dropped, self._dropped):
             return
         self._dropped = dropped

@@ -28,6 +28,7 @@ def dashes(walls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Link of each part (parts,), and its start and end, as shares of the link (parts, 2).
     """
+    # Without a limit the gaps of many walls would run beyond the ends of the link, which 20 fill.
     gaps = np.minimum(walls, MOST_GAPS)
     link = np.repeat(np.arange(len(gaps)), gaps + 1)
     # Index of each part within its link: parts of all links stand in one row.
