@@ -272,4 +272,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: Words after `usarmjx`; None: those of this program.
     """
+    # The program that calls this has a name of its own, which help and errors must not show.
     app(args=arguments, prog_name="usarmjx")

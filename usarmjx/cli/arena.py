@@ -123,6 +123,7 @@ def check(
             made = tour.segments - len(tour.faults)
             typer.echo(f"driven: {made} of {tour.segments} ways, {tour.metres:.1f} m in {tour.seconds:.0f} s")
             faults += tour.faults
+        # Before the faults end the command: a picture shows best where they are.
         _draw(found, png, perspective)
         for fault in faults:
             typer.echo(fault)

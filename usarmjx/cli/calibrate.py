@@ -78,6 +78,7 @@ def calibrate(
 
 
 def _print(lines: Iterator[str]) -> None:
+    # Line by line as they come, because to measure them takes minutes.
     for line in lines:
         typer.echo(line)
 

@@ -242,6 +242,7 @@ def suite_with(kind: str, given: Options = ()) -> Suite:
 def describe(sensor: type[Sensor]) -> tuple[str, str]:
     """Return the function of a type of sensor and its value, from its docstring."""
     first = inspect.cleandoc(sensor.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+    # Docstrings of sensors have this form, as docs/own-sensor.md shows.
     what, _, value = first.rstrip(".").partition("; value: ")
     return what, value
 

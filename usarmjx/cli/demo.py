@@ -173,6 +173,7 @@ def starting_at(arena: "ArenaSpec", tags: tuple[str, ...]) -> "ArenaSpec":
     """Return an arena whose first start poses are those of some tags."""
     starts = {start.tag: start for start in arena.starts}
     rest = [start for start in arena.starts if start.tag not in tags]
+    # A robot starts at the pose of its slot's number.
     return replace(arena, starts=(*(starts[tag] for tag in tags), *rest))
 
 

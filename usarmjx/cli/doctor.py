@@ -179,6 +179,7 @@ def check_cache(environment: Mapping[str, str] = os.environ) -> Iterator[Finding
         advice = f"unset {CACHE_VARIABLE} so that the next start compiles nothing"
         yield Finding("cache", "note", f"compilations are not kept: {CACHE_VARIABLE} says so", advice)
         return
+    # Turned on as by any command: only that shows whether the folder can be written.
     complaint = enable_compilation_cache(dict(environment))
     if complaint:
         yield Finding("cache", "wrong", complaint, f"free the disk or set {CACHE_VARIABLE} to another folder")
@@ -430,6 +431,7 @@ def doctor(
 ) -> None:
     """Check versions, devices, caches, ports, engines and small worlds; exit code 1 if one is wrong."""
     with ErrorExit():
+        # Small worlds make a few steps only: nearly all of their time is compilation.
         announce("looking at packages, cache, ports and devices ...", quickly=True)
         found = run_checks(CHECKS)
         if self_test:

@@ -377,6 +377,7 @@ def instances_of(several: str | None, one: int | None, worlds: int) -> tuple[int
         raise UsageError("give either --instance or --instances")
     from usarmjx.server.worlds.instances import parse_instances
 
+    # As text, so that one parser checks both options.
     return parse_instances(str(one or 0) if several is None else several, worlds)
 
 

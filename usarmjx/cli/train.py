@@ -145,6 +145,7 @@ class TrainCommand(TyperCommand):
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - as above
         """Write the help, and the settings of a task that is named before or after `--help`."""
         super().format_help(ctx, formatter)
+        # The task may be one word with its option, as --task=explore.
         words = [word.removeprefix("--task=") for word in ctx.meta.get(self.name, ())]
         names = [word for word in words if not word.startswith("-")]
         if names:

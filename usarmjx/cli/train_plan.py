@@ -183,6 +183,7 @@ def _as_before(options: TrainOptions, asked: RunSettings) -> tuple[str, RunSetti
 def recorded_engine(out: Path) -> str:
     """Return the engine that a run was started with, before JAX is imported; `auto` if there is no record."""
     try:
+        # `RECORD_FILE` of the trainings, whose module imports JAX.
         return str(read_json(out / "config.json")["engine"])
     except (UsageError, KeyError, TypeError):  # `load_record` refuses the file
         return "auto"

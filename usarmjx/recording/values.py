@@ -92,13 +92,9 @@ def unpack(data: bytes) -> Any:  # noqa: ANN401 - any of the values
         UsageError: The bytes are something else.
     """
     try:
+        # Slots are numbers, and MessagePack allows only texts as keys unless it is asked.
         return msgpack.unpackb(
-            # Slots are numbers, and MessagePack allows only texts as keys unless it is asked.
-            data,
-            object_hook=_value,
-            ext_hook=_array,
-            use_list=False,
-            strict_map_key=False,
+            data, object_hook=_value, ext_hook=_array, use_list=False, strict_map_key=False
         )
     except UsageError:
         raise

@@ -433,6 +433,7 @@ class PictureView(Widget):
 
     def render_line(self, y: int) -> Strip:
         """Return a row of characters."""
+        # A picture keeps its proportions, so rows of the pane may be left over.
         row = self._rows[y] if y < len(self._rows) else []
         return Strip(
             [
@@ -550,6 +551,7 @@ class ConsoleApp(App[str]):
             if self._extras.joystick is not None:
                 self._device = JoystickDevice(self._extras.joystick, self._feed_stick)
         except UsageError as error:
+            # The panes would cover a line on the terminal: the command prints it once they are gone.
             self.exit(str(error))
             return
         if self._extras.load_classes is not None:

@@ -136,6 +136,7 @@ class ConsoleClient:
             raise UsageError(f"no connection to {self.host}:{self.port}: {reason}") from error
         self._transcript.write(NOTE, f"connected to {self.host}:{self.port}")
         if self._token:
+            # By `send`, which keeps the token out of the transcript.
             await self.send(f"{AUTH} {{Token {self._token}}}")
 
     async def send(self, line: str) -> str:

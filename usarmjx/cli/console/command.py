@@ -108,6 +108,7 @@ def _run_script(
         raise UsageError("--video with --script needs --save-pictures: there is no pane to show them in")
 
     def show(line: str) -> None:
+        # Flushed, as a program at the other end of a pipe may react to each message.
         print(line, flush=True)
 
     async def run() -> None:

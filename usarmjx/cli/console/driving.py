@@ -191,6 +191,7 @@ class KeyDriver:
 
     def toggle_light(self) -> list[str]:
         """Switch the headlight."""
+        # The wire has True and False as Python writes them.
         return [f"DRIVE {{Light {not self.knowledge.light}}}"]
 
     def toggle_trace(self) -> list[str]:
@@ -278,6 +279,7 @@ ACTIONS: dict[str, Callable[[KeyDriver], list[str]]] = {
 
 
 FOLDER = Path("/dev/input")
+# The machine's byte order without padding, as the kernel packs the structure.
 EVENT = struct.Struct("=IhBB")
 """An event of the system: time [ms], value, kind, number (joystick-api.txt of the Linux kernel)."""
 BUTTON, AXIS, AT_FIRST = 0x01, 0x02, 0x80
@@ -322,6 +324,7 @@ class JoystickDriver:
         before, lines = self._deflection(), list[str]()
         for _, value, kind, number in EVENT.iter_unpack(data[:whole]):
             lines += self._take(value, kind, number)
+        # Once for the whole read: a stick that moves sends many events.
         after = self._deflection()
         return (self.pilot.steer(*after) if after != before else []) + lines
 
@@ -373,6 +376,7 @@ class JoystickDevice:
         try:
             data = os.read(self._file, EVENT.size * 64)
         except BlockingIOError:
+            # The loop may be woken for nothing.
             return
         except OSError:
             data = b""

@@ -92,6 +92,7 @@ TYPES_OF_ROBOTS = ("GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehic
 
 def heads() -> list[str]:
     """Return the heads of all commands."""
+    # AUTH is no command of the protocol: the connection takes it before any of them.
     return sorted({AUTH, *COMMANDS.names()})
 
 
@@ -204,6 +205,7 @@ class Knowledge:
         if message.get("StartPoses") and len(message.segments) > 1:
             # The first tag is the segment's key.
             words = " ".join(" ".join(pair) for pair in message.segments[1:]).split()
+            # Tag, location and rotation in turns; a pose that is not whole is dropped.
             self.starts = {
                 tag: (at, turn) for tag, at, turn in zip(*(words[i::3] for i in range(3)), strict=False)
             }

@@ -62,6 +62,7 @@ class PictureStream:
         loop = asyncio.get_running_loop()
         try:
             while True:
+                # The period includes the transfer: slow networks do not slow the pace any further.
                 began = loop.time()
                 number, size = HEADER.unpack(await reader.readexactly(HEADER.size))
                 # Bytes of another kind of server read as any size.
@@ -106,6 +107,7 @@ def half_blocks(image: Image.Image, width: int, height: int) -> HalfBlocks:
     scale = min(width / image.width, 2 * height / image.height)
     columns = max(1, min(width, round(image.width * scale)))
     rows = max(1, min(height, round(image.height * scale / 2)))
+    # Each pixel is the mean of those that it covers: single ones would flicker.
     pixels = list(image.resize((columns, 2 * rows), Image.Resampling.BOX).tobytes())
     colors = [(pixels[i], pixels[i + 1], pixels[i + 2]) for i in range(0, len(pixels), 3)]
     lines = [colors[i : i + columns] for i in range(0, len(colors), columns)]
