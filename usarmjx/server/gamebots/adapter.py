@@ -250,6 +250,7 @@ class Client:
         poses = [
             (
                 start.tag,
+                # Positions in an arena are above its floor, those on the wire are not.
                 flip_wire_vector((*start.at[:2], arena.floor + start.at[2])),
                 flip_wire_angles(start.angles),
             )
@@ -487,6 +488,7 @@ class Client:
             self.session.add_fault(str(error))
 
     def _trace(self, command: wire.Trace) -> None:
+        # The last point is kept: a TRACE that is repeated on the spot adds none.
         self._trace_state = RobotTrace(command, self._trace_state.last if self._trace_state else None)
 
     def add_trace_point(self) -> None:

@@ -303,6 +303,7 @@ Fov and Paning are spelled so in those lines.
 """
 
 
+# Kept by type: every reading asks for it.
 @cache
 def _report_of(kind: type[Sensor]) -> Callable[[Any, np.ndarray, float | None], Message | None]:
     """Return what makes the SEN of a sensor type."""

@@ -164,6 +164,7 @@ class ImageServer:
                 client.writer.transport.abort()
         if waiting and self._render_thread.is_ready(now):
             self._render_thread.begin(self._send(waiting, now))
+        # After the rendering has begun: a slow one keeps no client waiting beyond its patience.
         for client in waiting:
             if client.waits_since is not None and now - client.waits_since > self._settings.patience:
                 self._send_last(client, now)
@@ -221,6 +222,7 @@ class ImageServer:
             self._gate.refuse(f"{address}:{port}", f"{len(self._clients)} clients are here")
             writer.close()
             return
+        # With a large buffer in the kernel an unread picture would count as sent: see `update_unsent`.
         limit_kernel_buffer(writer)
         settings = self._settings
         client = ImageClient(writer, ImageSession(settings.size, 1 / settings.fps, time.monotonic()))
@@ -246,6 +248,7 @@ class ImageServer:
         here = [client for client in self._clients if not client.writer.is_closing()]
         if len(self._clients) < self._settings.max_connections:
             return True
+        # One that is closing already leaves by itself: to abort it again would make no room.
         if here:
             min(here, key=lambda client: client.last_received).writer.transport.abort()
         return bool(here)

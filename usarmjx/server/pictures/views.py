@@ -92,8 +92,10 @@ def _draw_balls(
         if not depth[part].size:
             continue
         # Middles of pixels: half a pixel off, a small ball would lean to the upper left.
+        # Cut to the picture's shape: a slice may end beyond the picture, and mgrid knows no bounds.
         rows, columns = np.mgrid[part][:, : depth[part].shape[0], : depth[part].shape[1]] + 0.5
         inside = np.hypot(columns - right[ball], rows - down[ball]) <= radius
+        # A ball on a surface may have its middle up to a radius behind what was rendered.
         rgb[part][inside & (depth[part] > away[ball] - BALL_RADIUS)] = colors[ball]
 
 
@@ -169,6 +171,7 @@ def client_view(world: ServedWorld, address: str, port: int, size: tuple[int, in
     if binding is not None:
         name, camera = binding
         robot = next((r for r in world.robots.values() if r.name.lower() == name.lower()), None)
+        # Black, not another robot's picture: the client has asked for this one.
         return CompositeView(size) if robot is None else robot_view(robot, camera, size)
     if world.multi_view is not None:
         return all_robots_view(world, size)
@@ -265,6 +268,7 @@ class RenderThread:
 
     def __init__(self, world: ServedWorld) -> None:
         self._world = world
+        # One thread: `is_ready` lets no second job begin beside the first.
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="pictures")
         self._job: asyncio.Task[None] | None = None
         self._rested = 0.0
@@ -282,6 +286,8 @@ class RenderThread:
         """Render views as they are now and return the result of `make`, both computed in the thread."""
         # A picture that several views show is rendered once.
         requests = list(dict.fromkeys(request for view in views for request, _, _ in view.tiles))
+        # The snapshot is taken here, in the loop's thread: the other one must never see a world within a
+        # step.
         job = _make, snapshot(self._world, requests), requests, set(views), make
         began = time.monotonic()
         made = await asyncio.get_running_loop().run_in_executor(self._executor, *job)
@@ -294,6 +300,7 @@ class RenderThread:
         """Stop."""
         if self._job is not None:
             self._job.cancel()
+        # Not awaited: a first picture may compile for seconds, and the server must end at once.
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 

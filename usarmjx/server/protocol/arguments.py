@@ -90,6 +90,7 @@ ARGUMENTS: dict[str, dict[str, Argument]] = {
     },
 }
 """Arguments that are no words, by head and key. A head without an entry has none."""
+# Keys count in any case: the original compared them so, and controllers spell them as they like.
 _BY_LOWER_CASE = {
     head: {key.lower(): argument for key, argument in arguments.items()}
     for head, arguments in ARGUMENTS.items()
@@ -113,6 +114,7 @@ def check_arguments(message: Message) -> None:
     repeated, seen = _REPEATED.get(message.kind, frozenset[str]()), set[str]()
     for key, value in message.segments:
         field = key.lower()
+        # The keys of a MULTIDRIVE are names of joints, which no table can list.
         argument = known.get(field) or known.get(ANY_KEY)
         # Only the first of a repeated key counts, so a later one may be anything.
         if value and argument is not None and field not in seen and not _MATCHES[argument.kind](value):
@@ -156,6 +158,7 @@ def read_parameters(text: str, form: Parameters) -> tuple[float, ...]:
             the text, and what it may be.
     """
     parts = split_vector(text)
+    # Each part is checked before any is read: `to_float` reads a word as 0, which may be a legal value.
     fits = form.fewest <= len(parts) <= form.most and all(map(is_number, parts))
     values = tuple(map(to_float, parts)) if fits else ()
     if not fits or not all(map(form.note.admits, values)):

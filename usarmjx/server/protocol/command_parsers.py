@@ -85,6 +85,7 @@ def parse_command(message: Message) -> Command | Ignored:
 
 def _init(message: Message) -> Command | Ignored:
     class_name = message.get("ClassName")
+    # The manual writes USARBot.P2AT (9.4): Unreal's package, which names no class here.
     if class_name.lower().startswith(_CLASS_PREFIX):
         class_name = class_name[len(_CLASS_PREFIX) :]
     if not class_name:
@@ -152,6 +153,7 @@ def _wheel(group: dict[str, str]) -> WheelCommand:
 def _drive_joint(message: Message) -> Command:
     order, steer = to_int(message.get("Order")), _number(message.get("Steer"))
     value = _number(message.get("Value"))
+    # Without numbers the value counts as 0, as atof has it; None would leave nothing to do.
     if value is None and steer is None:
         value = 0.0
     return DriveJoint(message.get("Name"), order, value, steer)
@@ -185,6 +187,7 @@ def _mis_pkg(message: Message) -> Command | Ignored:
     if not message.all("Link") and message.get("Rotation"):
         return _mis_pkg_rotation(message, name)
     groups, gripper = _groups(message, _LINK_KEYS), message.get("Gripper")
+    # A Gripper alone moves no link: the later versions send it so, as ACT.
     if any("link" not in group for group in groups):
         if any(groups) or not gripper:
             return Ignored("MISPKG with no Link, or a Value or Order that belongs to none")
@@ -224,6 +227,7 @@ def _set(message: Message) -> Command | Ignored:
             return _set_view(message)
         if "fov" in keys:
             return _set_fov(message)
+    # Params stay text: their form depends on the opcode, and only the item knows its opcodes.
     return Set(item_type, message.get("Name"), message.get("Opcode"), _params(message))
 
 
@@ -246,6 +250,7 @@ def _set_view(message: Message) -> Command | Ignored:
     client, robot = message.get("Client"), message.get("Robot")
     if not client:
         return Ignored("SET of a viewpoint without a Client")
+    # Without a robot the view is unbound, and the name of a camera means nothing.
     return SetView(client, robot, message.get("Name") if robot else "")
 
 
@@ -267,6 +272,7 @@ def _fov(text: str) -> float | None:
 def _trace(message: Message) -> Command:
     color = message.get("Color")
     # By name or by number, as the manual's examples have either.
+    # An unknown colour is no fault: the trace is left in the first one.
     names = {name.lower(): name for name in TRACE_COLORS} | {
         str(n): name for n, name in enumerate(TRACE_COLORS)
     }
@@ -326,6 +332,7 @@ def _control(message: Message) -> Command | Ignored:
         scale=_vector(message.get("Scale")),
         physics=message.get("Physics"),
         permanent=to_bool(message.get("Permanent")),
+        # One corner alone bounds no box.
         corners=None if low is None or high is None else (low, high),
     )
 

@@ -177,6 +177,7 @@ def _split(segments: Iterable[Segment]) -> Iterator[Segment]:
         words = value.split()
         if key == "Name" and len(words) > 1:
             yield (key, words[0])
+            # Strict: a key without a value would be a fault of ours, and must not lose a reading in silence.
             yield from zip(words[1::2], words[2::2], strict=True)
         else:
             yield (key, value)
@@ -209,9 +210,11 @@ def _one_by_one(message: Message) -> Iterator[Message]:
 
 def _actuator(message: Message, chassis: str) -> Iterator[Segment]:
     """Return UDK's form of packages: the pose and the tip of each, and its links from the base, link 0."""
+    # An echo of what is not there has no links, and so gets no pose.
     has_pose = message.kind == "GEO" and bool(message.all("Link"))
     has_tips = bool(message.all("Tip"))
     tip = [("Tip", _ORIGIN)] if has_pose and not has_tips else []
+    # The tip of a package follows its links, so it comes before the next name, and once more at the end.
     names = 0
     for key, value in message.segments:
         if key == "Name":
@@ -229,6 +232,7 @@ def _actuator(message: Message, chassis: str) -> Iterator[Segment]:
 
 def _binary(message: Message) -> Iterator[Segment]:
     """Return UDK's form of grippers: the operations of one that is open or closed."""
+    # An echo of what is not there has no opcodes, and stays an echo.
     is_there = bool(message.all("Opcode"))
     for key, value in message.segments:
         if key in ("Type", "Name"):

@@ -227,11 +227,13 @@ def _check_message(message: Message) -> None:
 
 AUTH = "AUTH"
 """Head of the line with the token that a server may require."""
+# Both forms of a token: the line AUTH on sockets, and the query in a page's address.
 _SECRET = re.compile(rf"(\b{AUTH}\b[\s{{]*(?:Token\b\s*)?|\btoken=)[^\s{{}};&'\"\\]+", re.IGNORECASE)
 
 
 def is_auth(line: str) -> bool:
     """Return whether a line says a token."""
+    # One character more than the word itself: AUTHOR begins with it, too.
     return line.lstrip()[: len(AUTH) + 1].rstrip(" {\t").upper() == AUTH
 
 
@@ -350,6 +352,7 @@ def four_decimals_list(values: Iterable[float]) -> str:
     return _four_decimals_form(len(cut)) % tuple(cut)
 
 
+# Kept by count: the scans of a sensor all have the same number of beams.
 @lru_cache(maxsize=4096)
 def _four_decimals_form(count: int) -> str:
     return ",".join(["%.4f"] * count)
@@ -360,6 +363,7 @@ def two_decimals_list(values: Iterable[float]) -> str:
     return ",".join([two_decimals(value) for value in values])
 
 
+# Kept: the same few names stand in every report.
 @lru_cache(maxsize=4096)
 def check_word(text: str) -> str:
     """Return `text` if it can stand among the pairs of a segment such as `{Name F1 Range 1.0}`.

@@ -149,7 +149,9 @@ class ImageSession:
             return data
         ends = [place for place in map(head.find, (b"\r", b"\n")) if place >= 0]
         if ends:
+            # The line end stays in front: it begins no request, so `receive_data` skips it.
             return head[min(ends) :]
+        # A line without an end is not kept: it would grow with every byte of the peer.
         if len(head) > MAX_AUTH_LINE:
             return b""
         self._pending = head
@@ -157,6 +159,8 @@ class ImageSession:
 
     def wants(self, now: float) -> bool:
         """Whether a picture is due."""
+        # The first picture goes out on request; later ones wait for the period, or clients would set the
+        # rate.
         return self.region is not None and (now >= self._due or (self._asked and not self._sent))
 
     def sent(self, now: float) -> None:

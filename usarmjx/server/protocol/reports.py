@@ -259,6 +259,7 @@ def sen_ground_truth(time: float | None, name: str, location: Vector, orientatio
 def _raw_pose(name: str, location: Vector, orientation: Vector) -> tuple[Segment, ...]:
     return (
         ("Name", name),
+        # Two decimals, as UnrealScript prints a float; most other readings have four.
         ("Location", two_decimals_list(location)),
         ("Orientation", two_decimals_list(orientation)),
     )

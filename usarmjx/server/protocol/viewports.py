@@ -87,6 +87,7 @@ def read_multi_view(paths: Iterable[str | Path]) -> MultiView:
         for line in read_ini(Path(path)).section(SECTION).lines:
             key = line.key.lower()
             if key == LOCKED:
+                # Read only to refuse a wrong value, as with every other key.
                 as_bool(line, line.value, line.key)
             elif key in KEYS:
                 values[KEYS[key]] = as_whole(line, 0 if key == "widemode" else 1, 4096)
@@ -97,6 +98,7 @@ def read_multi_view(paths: Iterable[str | Path]) -> MultiView:
                     "CameraNum, WideMode, CameraXres or CameraYres",
                 )
     multi = MultiView(**values)
+    # A raw picture of 16384 pixels on each side has 805 MB, which no client reads.
     if max(multi.size) > 1 << 14:
         raise SpecError(f"[{SECTION}]: {multi.size[0]} x {multi.size[1]} pixels are too many")
     return multi
@@ -147,6 +149,7 @@ class Viewports:
         if self.config == SINGLE:
             tiles = [(self.shown[0], 0, 0, 1)]
         else:
+            # Viewport 2 is at the top right, 3 at the bottom left (manual 9.4).
             tiles = [(name, index % 2, index // 2, 2) for index, name in enumerate(self.shown)]
         return tuple(tile for tile in tiles if tile[0] not in (DISABLED, UNKNOWN_CAMERA))
 

@@ -80,6 +80,7 @@ class MessageBytes:
         return (CDR_HEADER if self._version == RosVersion.ROS2 else b"") + bytes(out)
 
 
+# Kept by type: to make one walks through the fields of all types in it.
 @cache
 def _putter(version: RosVersion, kind: str) -> _Putter:
     """Return what appends values of a type; numbers of one size in a row are packed at once."""
@@ -206,6 +207,7 @@ class CdrReader:
     """
 
     def __init__(self, data: bytes, skip: int = 0) -> None:
+        # 0 is big-endian, 1 little-endian; larger numbers are lists of parameters and later versions of CDR.
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise PeerError(f"no plain CDR: it begins with {data[:4].hex() or 'nothing'}")
         self._order = "<" if data[1] else ">"
@@ -300,6 +302,7 @@ def as_json(message: RosMessage) -> str:
     Raises:
         ValueError: A number is not finite.
     """
+    # Python would write NaN, which is no JSON: browsers refuse the whole message.
     return json.dumps(message, allow_nan=False, default=_text_of_bytes)
 
 

@@ -201,6 +201,7 @@ def _car_keys(drive: Ackermann, velocity: Velocity) -> dict[str, float]:
     moves = abs(velocity.ahead) > STANDS
     angle = math.atan(velocity.turn / velocity.ahead * drive.wheel_base) if moves else 0.0
     front = max(-drive.max_front_steer, min(drive.max_front_steer, angle))
+    # All three keys: one that a DRIVE leaves out keeps its former value.
     return {"Speed": velocity.ahead / drive.radius, "FrontSteer": front, "RearSteer": 0.0}
 
 
@@ -311,6 +312,7 @@ def joint_states(version: RosVersion, time: float, robot: Robot, state: RobotSta
         "name": list(robot.plan.parts[1:]),
         "position": np.asarray(state.joint_pos, float).tolist(),
         "velocity": np.asarray(state.joint_vel, float).tolist(),
+        # Empty, as JointState has it for quantities that are not measured.
         "effort": [],
     }
 
@@ -422,6 +424,7 @@ class TrajectoryRun:
         Between two points they follow a line, or the cubic with the velocities of both points.
         """
         path = self.trajectory
+        # The position at the start is the first knot: joints move to the first point and do not jump.
         times = np.concatenate(([0.0], path.times))
         knots = np.concatenate((self.before[None], path.positions))
         time = min(max(now - self.start, 0.0), float(times[-1]))

@@ -250,6 +250,7 @@ class RosbridgeServer:
                 if topic == FEEDBACK:
                     kind, array = FEEDBACK_TYPE, feedback(version, now, request.name, array)
                 frame = publication(topic, kind, array, version, how, now)
+                # A client's goals share this topic: none may push the message of another out of the queue.
                 sources = len(requests.goals) if topic == FEEDBACK else 1
                 subscription.put(frame, (request.name, now), now, sources)
                 request.due = now + request.pause
@@ -286,6 +287,7 @@ class RosbridgeServer:
         if len(self._clients) >= self._settings.max_connections or self.server is None:
             # As one without a handshake: it need not answer for seconds, and there may be thousands.
             self._gate.add_stranger(connection.transport)
+            # 1013 asks the client to try again later.
             await connection.close(1013, f"{len(self._clients)} clients are connected already")
             return
         session = BridgeSession(self._settings.version, self._type_of)
@@ -354,6 +356,7 @@ class RosbridgeServer:
                 client.robots.remove(str(call.args.get("name", "")))
                 call.answer({})
             elif call.service == REPUBLISH:
+                # Counted for all clients together: no two of them get the same topic.
                 self._republished += 1
                 name = f"{REPUBLISHED}{self._republished}"
                 client.transforms.add_topic(name, call.args)

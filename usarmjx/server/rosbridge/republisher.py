@@ -104,6 +104,7 @@ def read_request(name: str, args: Mapping[str, Any]) -> TransformRequest:
     """
     given, target, rate = args.get("source_frames", []), args.get("target_frame", ""), args.get("rate", 10.0)
     sources = cast(list[object], given) if isinstance(given, list) else []
+    # Older clients send names of tf, which begin with a slash; those of tf2 do not.
     frames = tuple(one.strip("/") for one in sources if isinstance(one, str))
     if not isinstance(given, list) or len(frames) < len(sources) or len(frames) > MOST_FRAMES:
         raise UsageError(f"source_frames are up to {MOST_FRAMES} names of frames")

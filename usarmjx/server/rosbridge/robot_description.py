@@ -57,6 +57,7 @@ def _geometry(shape: Shape) -> tuple[str, dict[str, str]] | None:
     if shape.mesh is not None:
         points = np.asarray(shape.mesh.vertices, float)
         # Viewers would need the mesh as a file of its own; a description over a topic has none.
+        # Symmetric about the mesh's origin, as URDF centres a box there: never smaller than the mesh.
         return "box", {"size": _numbers((2 * np.abs(points).max(0)).tolist())}
     if shape.kind == "box":
         return "box", {"size": _numbers([2 * half for half in shape.size])}

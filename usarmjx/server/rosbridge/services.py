@@ -140,6 +140,7 @@ class RosRobots:
     def _follow(self, robot: Robot, message: object) -> None:
         """Let a robot follow a JointTrajectory from now on, or from its header's time."""
         path = read_trajectory(message, robot.plan)
+        # Also without points: such a trajectory stops the robot.
         self._runs.pop(robot, None)
         if path is None:
             return
@@ -147,6 +148,7 @@ class RosRobots:
         # Part 0 is the chassis, which has no joint.
         places = [robot.plan.parts.index(name) - 1 for name in path.joints]
         now = np.asarray(world.state(robot).joint_pos, float)[places]
+        # A start that has passed, as 0 has, means now.
         self._runs[robot] = TrajectoryRun(path, max(world.time, path.start), now)
 
     def _drive(self, robot: Robot, twist: object) -> None:
@@ -202,6 +204,7 @@ def read_spawn(args: Mapping[str, Any]) -> tuple[Init, RobotSpec]:
         raise UsageError("give either pose or start")
     location = _numbers(pose, "position", "xyz")
     x, y, z, w = _numbers(pose, "orientation", "xyzw")
+    # Clients send quaternions of rounded numbers, and a matrix needs unit length.
     length = float(np.linalg.norm((w, x, y, z)))
     if length < 1e-6:
         raise UsageError("an orientation of length 0 is none")
@@ -245,6 +248,7 @@ class Parameters:
 
     def __init__(self, topics: WorldTopics) -> None:
         self._topics = topics
+        # Nodes of ROS follow the topic /clock only where this parameter is true.
         self._set: dict[str, Any] = {"/use_sim_time": True}
 
     def names(self) -> list[str]:
@@ -281,6 +285,7 @@ class Parameters:
             raise UsageError(f"there are {MOST_PARAMETERS} parameters already")
         try:
             self._set[full] = json.loads(text)
+        # The text is a client's: some thousand nested brackets exhaust Python's stack.
         except (ValueError, RecursionError) as error:
             raise UsageError(f"the value of {clip(full)} is no JSON: {error}") from error
 

@@ -233,6 +233,7 @@ class BridgeSession:
 
     def status(self, level: str, text: str, about: object = None) -> None:
         """Queue a status message for the client, unless its level excludes it."""
+        # "none" is the last level, and by its index alone would let every message through.
         if LEVELS.index(level) <= self._level and self._level < LEVELS.index("none"):
             self._reply({"op": "status", "level": level, "msg": text}, about)
 
@@ -350,6 +351,7 @@ class BridgeSession:
 def _read(text: str | bytes) -> RosMessage:
     try:
         message = json_object(json.loads(text))
+    # The text is a client's: some thousand nested brackets exhaust Python's stack.
     except (ValueError, RecursionError) as error:
         raise UsageError(f"that is no JSON: {error}") from error
     if message is None:

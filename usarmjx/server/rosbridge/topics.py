@@ -106,6 +106,7 @@ def scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np
         "angle_min": first,
         "angle_max": first + (len(ranges) - 1) * settings.resolution,
         "angle_increment": settings.resolution,
+        # All beams of a scan are of one moment.
         "time_increment": 0.0,
         "scan_time": settings.scan_interval,
         "range_min": settings.min_range,
@@ -135,6 +136,7 @@ def scan_points(scan: RosMessage) -> RosMessage:
         "point_step": step,
         "row_step": step * len(points),
         "data": points.tobytes(),
+        # No point is NaN: beams without an echo are left out.
         "is_dense": True,
     }
 
@@ -152,6 +154,7 @@ def ranger(sensor: Sensor, index: int, radiation: int) -> ReadingMaker:
             "max_range": settings.max_range,
             "range": float(value[index]),
         }
+        # ROS 2 alone has `variance`, where 0 stands for an unknown one.
         return message if version == RosVersion.ROS1 else {**message, "variance": 0.0}
 
     return make
@@ -164,6 +167,7 @@ def imu(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.
         "orientation": quaternion(np.eye(4)[0]),
         "orientation_covariance": [UNKNOWN, *[0.0] * 8],
         "angular_velocity": vector(value[:3]),
+        # By sensor_msgs/Imu a matrix of zeros stands for an unknown covariance.
         "angular_velocity_covariance": [0.0] * 9,
         "linear_acceleration": vector(value[3:]),
         "linear_acceleration_covariance": [0.0] * 9,
@@ -212,6 +216,7 @@ def _fix(
         "longitude": coordinates[1],
         "altitude": None,
         "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 0.0],
+        # 0 stands for an unknown covariance: there is no position.
         "position_covariance_type": APPROXIMATED if fixed else 0,
     }
 
@@ -240,6 +245,7 @@ def battery_state(version: RosVersion, time: float, robot: str, life: float, rem
     share = remaining / life if life else 0.0
     return {
         "header": version.header(time, f"{robot}/base_link"),
+        # None becomes NaN in bytes and null in JSON: BatteryState's value of what is not measured.
         **dict.fromkeys(unknown),
         "percentage": share,
         "power_supply_status": FULL if share >= 1.0 else DISCHARGING,
@@ -317,6 +323,7 @@ def pinhole_info(
         "width": width,
         "distortion_model": "plumb_bob",
         **lens,
+        # By CameraInfo binning of 0 is none, and a region of zeros is the whole picture.
         "binning_x": 0,
         "binning_y": 0,
         "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
@@ -463,12 +470,14 @@ class WorldTopics:
         yield RosTopic(
             "/clock",
             "rosgraph_msgs/Clock",
+            # With every control step: nodes that use simulated time have no other clock.
             lambda: world.time,
             lambda version: {"clock": version.stamp(world.time)},
         )
         yield RosTopic("/tf", "tf2_msgs/TFMessage", self._tick, self._moving_frames)
         # The number of now: the lambda below must not see a later one, which belongs to topics made anew.
         changes = self._changes
+        # Latched: a late subscriber must get the frames, too, although they change only with the robots.
         yield RosTopic(
             "/tf_static", "tf2_msgs/TFMessage", lambda: changes, self._fixed_frames, is_latched=True
         )

@@ -306,6 +306,7 @@ def _editable(kind: type[Any]) -> dict[str, str]:
     return {
         field.name: keys[field.name]
         for field in dataclasses.fields(kind)
+        # A flag counts, too, as a bool is an int in Python.
         if isinstance(field.default, simple) and field.name not in FIXED
     }
 
@@ -468,11 +469,13 @@ class SpectatorConsole:
     def _show_log(self, words: list[str]) -> str:
         count = words[0] if words else str(SHOWN_LINES)
         if len(words) > 1 or not (
+            # By its length first: Python refuses to read thousands of digits, with an error of another kind.
             count.isdecimal() and len(count) <= len(str(MAX_KEPT_LINES)) and int(count)
         ):
             raise UsageError(f"showlog: {clip(' '.join(words))} is no number of lines")
         if self._tail is None:
             raise UsageError("showlog: this server does not keep its log")
+        # A list: a deque has no slices, and other threads may log meanwhile.
         return "\n".join(list(self._tail.lines)[-int(count) :]) or "nothing has been logged yet"
 
     def _show_debug(self, words: list[str]) -> str:

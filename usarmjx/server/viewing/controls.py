@@ -103,6 +103,8 @@ class PageRobots:
                 raise UsageError(f"there is no robot {slot} to take over")
             group, _ = self._world.scene.group_of(slot)
             spec = self._world.scene.groups[group].robot
+            # By the name of the policy's robot: the world hands it over as it stands, and this pose is not
+            # used.
             client.attach_robot(self._world.spawn(spec, agents[slot], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
             self._server.guests.append(client)
         else:
@@ -157,6 +159,7 @@ class PageRobots:
         """Spawn a robot that has no client; see `WorldControls.spawn`."""
         name = name.strip()
         self._check_name(name)
+        # The page means the ground below the robot, INIT the origin of its chassis.
         origin = (*pos[:2], pos[2] + standing_height(spec))
         init = wire.Init(spec.name, name, flip_wire_vector(origin), flip_wire_angles((0.0, 0.0, yaw)))
         robot = spawn_from_init(self._world, init, spec)
@@ -346,6 +349,7 @@ class ServedControls:
     def starts(self, world: int) -> Sequence[StartPoseChoice]:
         """Return the start poses of a world's arena."""
         arena = self._servers[world].world.arena
+        # Start poses have one standard elevation (manual 5.3.4); the page means the ground below.
         return [
             StartPoseChoice(
                 start.tag, (*start.at[:2], arena.floor + start.at[2] - START_ELEVATION), start.yaw
@@ -435,6 +439,8 @@ class ServedControls:
 
     def _fail(self, world: int, reason: str) -> None:
         with self._lock:
+            # Requests fail in the users' threads and in that of the worlds: no failure may be lost in the
+            # count.
             count, _ = self._errors.get(world, (0, ""))
             self._errors[world] = count + 1, reason[:MAX_ERROR]
 
@@ -454,11 +460,13 @@ class ServedControls:
                 self._fail(world, str(error))
 
         task = asyncio.get_running_loop().create_task(run())
+        # asyncio keeps only weak references: without this one the task could vanish before it ends.
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     async def _reset(self, world: int) -> None:
         served, robots = self._servers[world].world, self._robots[world]
+        # In a thread: the first reset compiles, and all worlds step on meanwhile.
         await asyncio.get_running_loop().run_in_executor(None, served.prepare_reset)
 
         def act() -> None:
@@ -471,5 +479,6 @@ class ServedControls:
     async def _spawn(self, world: int, robot: str, name: str, pos: Vec3, yaw: float) -> None:
         robots = self._robots[world]
         spec = ROBOTS.get(robot)
+        # Before it is queued: the first robot of a class may take seconds, in which the worlds must step on.
         await self._servers[world].prepare(spec)
         self._enqueue(world, object(), partial(robots.spawn, spec, name, pos, yaw), takes_long=True)

@@ -120,11 +120,13 @@ class ViewerService:
 
     def _open(self) -> None:
         """Start viser in a thread after the first request: the worlds must not wait for it."""
+        # At once: the connection stays in the backlog, and would wake the loop again and again.
         self._unwatch()
         self._opener = threading.Thread(target=self._start_server, name="viewer", daemon=True)
         self._opener.start()
 
     def _unwatch(self) -> None:
+        # A closed socket has the number -1, which the loop refuses.
         if self._loop is not None and self._bound is not None and self._bound.fileno() >= 0:
             self._loop.remove_reader(self._bound)
 

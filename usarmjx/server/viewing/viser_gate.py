@@ -109,6 +109,7 @@ def _guarded(handler: Any, gate: Gate, made: threading.Event) -> Any:  # noqa: A
         except Exception as error:
             peer = connection.remote_address
             gate.refuse(str(peer[0]) if peer else "", f"{NO_MESSAGE} ({type(error).__name__})")
+            # 1008 stands for a violation of policy (RFC 6455, 7.4.1).
             await connection.close(1008, NO_MESSAGE)
 
     return handle
@@ -147,6 +148,7 @@ def _measured_connection(gate: Gate) -> type[ServerConnection]:
 
     class MeasuredConnection(gated_connection(gate)):
         async def recv(self, decode: bool | None = None) -> Any:  # noqa: ANN401 - text or bytes
+            # Made at the first message: websockets makes the object, with arguments of its own.
             if not hasattr(self, "_rate"):
                 self._rate = MessageRate(time.monotonic())
             await asyncio.sleep(self._rate.pause(time.monotonic()))

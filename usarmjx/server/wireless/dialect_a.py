@@ -136,6 +136,7 @@ def normalize_address(text: str) -> str:
         Refusal: It is no IP address; "localhost" is taken as 127.0.0.1.
     """
     try:
+        # Without the zone of a link-local address (fe80::1%eth0): it names an interface of this machine only.
         address = ipaddress.ip_address("127.0.0.1" if text.lower() == "localhost" else text.partition("%")[0])
     except ValueError as error:
         raise Refusal(INCORRECT) from error
@@ -246,6 +247,7 @@ class ComServer:
         )
         # Taken before the connection is made: a second OPEN in between must not get the same port.
         self._listening[ask.host].remove(ask.host_port)
+        # Counted before the connection is made, too: OPENs under way must not exceed the limits together.
         self._links.update(endpoints.names)
         return endpoints
 
@@ -272,6 +274,7 @@ class ComServer:
         if not self._owns(caller, ask.one) and not self._owns(caller, ask.other):
             raise Refusal(THIRD_PARTY)
         power = self._radio.signal_strength(ask.one, ask.other)
+        # Above 0 dBm the robots are too close together for the formula.
         if power is None or power > 0:
             raise Refusal("Could not calculate signal strength")
         return power
@@ -286,6 +289,7 @@ class ComServer:
 
     def _owns(self, caller: str, name: str) -> bool:
         registration = self._registrations.get(name)
+        # Two addresses own a robot: where the operator allows it, another peer may register the controller.
         return registration is not None and caller in (registration.address, registration.owner)
 
     def _listens(self, name: str, port: int) -> bool:
@@ -297,6 +301,7 @@ class ComServer:
         Raises:
             Refusal: Neither listens.
         """
+        # The in-engine server's order first: it counts when both robots listen.
         if self._listens(ask.host, ask.host_port):
             return ask
         if self._listens(ask.name, ask.port):
@@ -313,6 +318,7 @@ class ComServer:
 
     def _make_room(self) -> None:
         """Forget the oldest registration without a robot."""
+        # A dict keeps the order of registration: the first one without a robot is the oldest.
         for name in self._registrations:
             if not self._radio.has_robot(name):
                 return self._forget(name)
@@ -445,6 +451,8 @@ class DataLinkParser:
 
 
 def _port(word: str) -> int:
+    # ASCII, as isdecimal takes the digits of every script; five of them, as leading zeros may be any
+    # number of digits.
     if not (word.isascii() and word.isdecimal() and len(word) <= 5 and 0 < int(word) < 65536):
         raise Refusal(INCORRECT)
     return int(word)
@@ -578,11 +586,13 @@ class DialectASession:
         else:
             if isinstance(request, Register):
                 self._server.register(self._caller, request)
+                # A name kept twice would push another one out of the bounded queue.
                 if request.name not in self._names:
                     self._names.append(request.name)
             else:
                 self._server.listen(self._caller, request)
             self._reply("OK")
+        # Last: a refusal leaves the method before, and the connection stays ready.
         self.phase = TRANSITIONS[self.phase, type(request)]
 
     def _reply(self, text: str) -> None:

@@ -142,6 +142,7 @@ class Switchboard:
             for route, forwarded in self._forwarded_ports.items()
             if route.callee == name and forwarded.is_open
         ]
+        # Routes to it keep their ports, only closed: their callers may have cached them.
         for route in closed:
             self._forwarded_ports[route].is_open = False
         return gone, closed
@@ -250,6 +251,7 @@ def parse_strict(line: str) -> tuple[str, dict[str, str]]:
     at = 0
     while found := _SEGMENT.match(rest, at):
         words = found[1].split(" ")
+        # A segment of more words has no value, and the segments behind it still count.
         if len(words) <= 2:
             values[words[0]] = "".join(words[1:])
         at = found.end()
@@ -364,6 +366,7 @@ class DialectBSession:
         return Message("SS", (*segments, ("Error", error)) if error else segments)
 
     def _dns(self, values: dict[str, str]) -> Message:
+        # Port 0 names none: then the first of the robot's ports is meant.
         asked = _port(values["Port"], NO_PORT, least=0) if "Port" in values else 0
         other = _name(values)
         ports = self._board.ports_of(other)

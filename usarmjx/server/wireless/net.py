@@ -139,6 +139,7 @@ class DataLinkServer:
         log.info("link between %s and %s", *link.endpoints.names)
         one, other = link.sides
         try:
+            # Each direction cuts the link when it ends, and so ends the other one.
             await asyncio.gather(self._pump(link, one, other), self._pump(link, other, one))
         finally:
             link.cut()
@@ -328,6 +329,7 @@ class ProxyServer:
     def _close(self, route: Route) -> None:
         if route in self._ports:
             self._ports[route].close()
+        # A closed listener leaves accepted connections open: each of them is cut by itself.
         for connection in self._connections.get(route, ()):
             connection.cut()
 
@@ -534,6 +536,7 @@ class WirelessService:
         self._throttle = Throttle()
         self._links = DataLinkServer(radio, settings.allow, self._throttle)
         self._gate = Gate(settings.access, settings.max_connections, "radio")
+        # A gate of its own: calls between robots must not take the room of control connections.
         calls = Gate(settings.access, MAX_CONNECTIONS, "calls by radio")
         self._proxies = ProxyServer(radio, settings.host, self._throttle, calls)
         self._connections: list[ClientConnection] = []
@@ -562,6 +565,7 @@ class WirelessService:
                 self._connection_callback(make_handler),
                 self._gate,
                 self._bound.get(name),
+                # The line with a token ends as the messages of the port's dialect do.
                 MESSAGE_END if name == "wss" else LINE_ENDS,
             )
             self._listeners.append(server)
@@ -574,6 +578,7 @@ class WirelessService:
         self._throttle.refill()
         # One poll at a time: a slow one must not be overtaken by the next.
         if self._world.time >= self._next_poll and (self._poll_task is None or self._poll_task.done()):
+            # From now on, not from the last due time: after a long step there is nothing to catch up on.
             self._next_poll = self._world.time + POLL_PERIOD
             self._poll_task = asyncio.create_task(self._poll())
             # An exception of a task that nobody awaits would be reported only when it is collected, if at
@@ -596,6 +601,7 @@ class WirelessService:
             self._links.poll()
             changes = self._proxies.poll()
         await self._proxies.apply_changes(changes)
+        # In real time, unlike the poll itself: a paused or slow world says nothing about a peer's silence.
         latest = time.monotonic() - self._settings.idle_timeout
         for connection in self._connections:
             # A robot's controller may be silent for long: only peers without one have to speak.
@@ -657,6 +663,8 @@ class WirelessService:
 async def _converse(connection: ClientConnection, reader: asyncio.StreamReader) -> None:
     while data := await reader.read(READ_SIZE):
         connection.last_received = time.monotonic()
+        # Read on only after the answer: while a link opens, a session of dialect A keeps messages without a
+        # bound.
         connection.writer.write(await connection.handler.handle(data))
         await drain(connection.writer)
 

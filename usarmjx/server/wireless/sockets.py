@@ -157,6 +157,7 @@ class ReservedPort:
             self._server.close()
             self._server = None
             try:
+                # Bound, but not listening: calls are refused, and no other process can take the port.
                 self._bound = bound_socket(self._host, self.port)
             except UsageError as error:  # `open` tries again
                 log.warning("%s", error)
@@ -185,6 +186,7 @@ async def connect(
     """
     if not may_dial(address, port):
         raise PermissionError(f"{address}:{port} is not dialled: it is ours or below {FIRST_DIALLED}")
+    # Addresses come from `normalize_address`: only those of IPv6 have a colon.
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     client = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -231,6 +233,7 @@ def close_gracefully(writer: asyncio.StreamWriter) -> None:
     """Close a connection once its written bytes have left, or soon in any case."""
     writer.close()
     if writer.transport.get_write_buffer_size():
+        # Not awaited: tasks close their connection while they are cancelled themselves.
         asyncio.get_running_loop().call_later(LINGER, writer.transport.abort)
 
 

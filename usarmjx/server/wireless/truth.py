@@ -96,6 +96,7 @@ class TruthSession:
         return "".join(f"{text}\r\n" for text in self._found(message)) + _END
 
     def _found(self, asked: Message) -> Iterator[str]:
+        # Without its package, which clients may send in front: USARBot.P3AT.
         kind = asked.get("class").rpartition(".")[2].lower()
         kinds = {kind, LATER_CLASSES.get(kind, kind).lower()}
         name, time = asked.get("name").lower(), four_decimals(self._world.time)

@@ -123,6 +123,7 @@ class BatchWorld(ServedWorld):
         check_instances([instance], self._batch.worlds)
         self.robots = {}
         self.period = self.scene.physics.period
+        # Worlds of a batch share a scene, and may have arenas of their own, which change at resets.
         self.arena = self._batch.arena_of(self._state, instance)
         self._fetched: tuple[BatchState, tuple[World, PhysicsState]] | None = None
         self._steps, self._episode = self._shared.steps, int(self._state.worlds.episode[instance])
@@ -296,6 +297,7 @@ class BatchWorld(ServedWorld):
 
     def _join_world(self, robot: Robot, state: RobotState) -> None:
         """Move a client's robot into this world, with its pose of another."""
+        # Readings of the world before must not be reported as this one's.
         robot.pending.clear()
         self._start(robot, np.asarray(state.pos), np.asarray(state.quat))
 
@@ -311,6 +313,7 @@ class BatchWorld(ServedWorld):
         self._advance()
 
     def _advance(self) -> None:
+        # Another served world may have made this step of the batch already: `advance` makes it only once.
         self._steps += 1
         self._shared.advance(self._steps)
         episode = int(self._state.worlds.episode[self._instance])
@@ -381,6 +384,7 @@ class BatchWorld(ServedWorld):
 
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
         """Take a snapshot of the world for pictures; return a function that renders them."""
+        # A state is never changed, and this one is kept: the world goes on while another thread renders it.
         state, instance = self._state, self._instance
 
         def render(asked: CameraRequest | ViewpointRequest) -> Picture:

@@ -168,6 +168,7 @@ class DynamicWorld(ServedWorld):
 
     def add_loose(self, thing: LooseObject, *, held: bool) -> None:
         """Add a loose object."""
+        # Before it is added, as of robots: see `spawn_at`.
         if self.recorder is not None:
             self.recorder.adding_loose(thing, held=held)
         self._single.add_loose(thing, held=held)

@@ -23,6 +23,7 @@ def parse_instances(text: str, worlds: int) -> tuple[int, ...]:
         last = last if dash else first
         if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
             raise UsageError(f"instances {text!r} are not of the form all or 0,2-5: {part!r}")
+        # Before the range is made: one up to a huge number would fill the memory.
         check_instances((int(first), int(last)), worlds)
         numbers.update(range(int(first), int(last) + 1))
     return tuple(sorted(numbers))

@@ -47,6 +47,7 @@ def make_worlds(
         spec, classes = find_arena(arena), dict.fromkeys(parse_roster(roster))
         made = [DynamicWorld(spec, seed=seed, number=i, max_robots=max_robots) for i in instances]
         for name in classes:
+            # Prepared in one world for all: the results are kept by the robot's class.
             made[0].prepare(find_robot(name))
         return [*made]
     scene = parked_scene(arena, roster)

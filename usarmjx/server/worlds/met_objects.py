@@ -128,6 +128,7 @@ class ObjectFinder:
         scene, (slot, index) = self._scene, sensor
         group, member = scene.group_of(slot)
         own = scene.groups[group].suite.sensors[index]
+        # Positions alone: rays depend on no velocity.
         self._engine.data.qpos[:] = physics.qpos
         moved = moved_geom_poses(scene, world.arena_state, clock_of(scene, world))
         caster = self._engine.caster(self._robots, moved)

@@ -86,6 +86,8 @@ class ObjectMotion:
             return None
         pos, quat = pose[:3], pose[3:]
         if is_rotating:
+            # Angles are added up: the spin changes roll, pitch and yaw, and is no turn about axes of the
+            # body.
             self.angles = self.angles + self.spin * period
             quat = np.asarray(quat_from_angles(*self.angles.tolist()))
         if is_under_way:

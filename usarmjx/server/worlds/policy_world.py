@@ -292,6 +292,7 @@ class PolicyBatch(SharedBatch):
         self._sense_all = PrecompiledProgram(
             compile_program(jax.vmap(self._sense), env.program_cache, "PolicyBatch")
         )
+        # Only traced, within `_advance`: it needs no program that is compiled ahead.
         self._begin_all = jax.jit(self._of_views(self._begin))
         self._advance_all = self._program(self._advance, precise=False)
         self._apply_actions_all = self._program(self._of_views(self._apply_actions), precise=True)
@@ -343,6 +344,7 @@ class PolicyBatch(SharedBatch):
                 TaskView(world=world, physics=physics, readings=readings, scene=self.env.scene), *rest
             )
 
+        # The cache of programs knows each one by its name.
         of_parts.__name__ = function.__name__
         return jax.vmap(of_parts)
 
@@ -603,6 +605,8 @@ class PolicyWorld(BatchWorld):
             free = [int(slot) for slot in group.slots if int(slot) not in self.robots]
             if group.robot.name == robot.name and free:
                 new = self._activate(free[0], robot, name, pos, angles)
+                # The scene's own sensors come first in it, as in the readings; the suite of the class has
+                # another order.
                 new.suite = self._robot(new.slot, name).suite
                 return new
         raise UsageError(f"no {robot.name} left to take over; the robots here: {', '.join(self.agents())}")
@@ -619,10 +623,12 @@ class PolicyWorld(BatchWorld):
         return new
 
     def _is_taken(self, instance: int, slot: int) -> bool:
+        # All robots of a task are active: a claim alone tells that a client has one.
         return bool(self.policy_batch.claimed[instance, slot])
 
     def _join_world(self, robot: Robot, state: RobotState) -> None:
         """Take over the robot with the same slot in this world, at its present pose."""
+        # Readings of the world before must not be reported as this one's.
         robot.pending.clear()
         self.robots[robot.slot] = robot
         # The policy's last command is still in force; the robot stands until its client drives.
@@ -648,6 +654,7 @@ class PolicyWorld(BatchWorld):
     def step(self) -> None:
         """Advance all worlds by one control step; at the end of each action the policy acts."""
         super().step()
+        # After other steps the last readings are still the same, and would be reported twice.
         if self.policy_batch.measured == self._steps:
             self._store_readings()
 
@@ -677,6 +684,7 @@ def newest(run: Path) -> str | None:
     try:
         return Checkpoints(run).find("last").name
     except UsageError:
+        # A run that has just begun has no checkpoint yet.
         return None
 
 
@@ -730,6 +738,7 @@ class PolicyFollower:
             # Reading and compiling take seconds, in which the loop must step on.
             await asyncio.to_thread(self._load)
         except (UsageError, OSError) as error:  # training may have replaced it by a newer one
+            # It does not count as driving: the next look tries it again, or a newer one.
             log.warning("%s: %s", self._run, error)
             return
         self._driving = name

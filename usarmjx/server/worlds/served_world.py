@@ -136,6 +136,7 @@ class ServedWorld(ABC):
     def scene(self) -> Scene:
         """The scene; on C MuJoCo it is replaced whenever a robot joins or leaves."""
 
+    # Made at its first use, as the next ones are: this class has no constructor that subclasses must call.
     @cached_property
     def view_bindings(self) -> ViewBindings:
         """Cameras that the views of image clients are bound to."""
@@ -256,6 +257,7 @@ class ServedWorld(ABC):
             return 0.0
         group, member = self.scene.group_of(robot.slot)
         world = self.beside_physics()
+        # Both are of the world's own count, which a reset sets to 0; the clients' time goes on.
         age = int(world.step) - int(world.groups[group].battery_start[member])
         return max(0.0, robot.spec.battery_life - age * self.period)
 
