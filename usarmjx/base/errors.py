@@ -27,6 +27,7 @@ class UsarmjxError(Exception):
 
 def quoted(error: Exception) -> str:
     """Return a foreign exception's message as the end of one line."""
+    # Messages of other libraries may have many lines; ours have one.
     return " ".join(str(error)[:MAX_QUOTATION].split()) or type(error).__name__
 
 
@@ -48,6 +49,7 @@ class PlaceError(UsageError):
     """
 
     def __init__(self, text: str, pos: tuple[float, float, float]) -> None:
+        # Both arguments: unpickling in another process makes an exception anew from those of its base.
         super().__init__(text, pos)
         self._text, self._pos = text, pos
 

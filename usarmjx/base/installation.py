@@ -22,6 +22,7 @@ def install_command(*extras: str) -> str:
     """Return the command that installs extras beside what is there."""
     names = f"[{','.join(extras)}]" if extras else ""
     root = PACKAGE.parent
+    # Only a checkout has both files beside the package.
     if (root / "pyproject.toml").is_file() and (root / "constraints.txt").is_file():
         if Path.cwd() == root:
             return f'pip install -c constraints.txt -e ".{names}"'
@@ -32,6 +33,7 @@ def install_command(*extras: str) -> str:
 def _wheel() -> str:
     """Return the path of the wheel that was installed, else the name of the wheel of this version."""
     try:
+        # pip notes there from which file or address it installed a package (PEP 610).
         record = json.loads(metadata.distribution("usarmjx").read_text("direct_url.json") or "{}")
         path = unquote(urlsplit(str(record.get("url", ""))).path)
     except (metadata.PackageNotFoundError, ValueError, AttributeError):
@@ -56,6 +58,7 @@ class _Filter:
         """Drop notes until the last user ends."""
         with self._lock:
             self._users += 1
+            # Only the first: a second one would take our function for the usual one, which then calls itself.
             if self._users == 1:
                 self._usual, builtins.print = builtins.print, self._print_other
 

@@ -33,6 +33,7 @@ class RateLimitedLog:
         """Pass on a line if one is due."""
         now = self._clock()
         if now >= self._next:
+            # From now, not from the moment that was due: after a pause no burst of lines follows.
             self._next = now + self._period
             self._tell(text)
 

@@ -34,6 +34,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], aliases: Iterable[s
 def closest(name: str, known: Iterable[str]) -> str:
     """Return the question whether the closest known name was meant; empty: none is close."""
     candidates = list(known)
+    # In lower case: the comparison takes letters of another case for different ones.
     near = get_close_matches(name.lower(), [one.lower() for one in candidates], n=1)
     return next((f"; did you mean {one!r}?" for one in candidates if [one.lower()] == near), "")
 
@@ -46,6 +47,7 @@ def version_of(name: str) -> tuple[str, int]:
 
 def newest_versions(names: Iterable[str]) -> dict[str, str]:
     """Return the name of the newest version by bare names in lower case that are no names themselves."""
+    # Ascending: of several versions the last one stays in the mapping below.
     known = sorted(names, key=lambda name: version_of(name)[1])
     found = {version_of(name)[0].lower(): name for name in known if version_of(name)[1]}
     return {bare: name for bare, name in found.items() if bare not in {one.lower() for one in known}}
@@ -70,6 +72,7 @@ class Registry(Generic[T]):
         Raises:
             UsageError: The name or an alias is taken.
         """
+        # All are checked before one is entered: a refused entry leaves nothing behind.
         for candidate in (name, *aliases):
             key = candidate.lower()
             if key in self._entries or key in self._aliases:
@@ -136,6 +139,7 @@ class Registry(Generic[T]):
     def copy(self) -> "Registry[T]":
         """Return a registry of the same entries and aliases."""
         other: Registry[T] = Registry(self.kind, versioned=self.versioned)
+        # Tables of its own: entries that are added later stay in one of the two registries.
         other._entries, other._aliases = dict(self._entries), dict(self._aliases)
         return other
 

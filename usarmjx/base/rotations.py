@@ -50,6 +50,7 @@ def quat_from_mat(mat: Array) -> Array:
         *(yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz),
     )
     rows = xp.stack(products, -1).reshape(*mat.shape[:-2], 4, 4)
+    # The diagonal of the table of four rows.
     squares = xp.stack(products[::5], -1)
     row = xp.take_along_axis(rows, xp.argmax(squares, -1)[..., None, None], -2)[..., 0, :]
     # The length is twice the largest component, whatever the row.
@@ -182,4 +183,5 @@ def quat_times(one: Sequence[Array], other: Sequence[Array]) -> Components:
 def rotated(quat: Sequence[Array], vector: Sequence[Array]) -> Components:
     """Return a vector rotated by a unit quaternion."""
     w, *axis = quat
+    # v + 2 q x (q x v + w v): fewer products than two multiplications of quaternions.
     return plus(vector, times(cross(axis, plus(cross(axis, vector), times(vector, w))), 2))

@@ -88,6 +88,7 @@ def satellite_directions() -> np.ndarray:
 
 def largest_error(settings: GpsSettings, satellites: Array) -> Array:
     """Return the largest error of a coordinate [m]: linear in the number of satellites (manual 10.5.2)."""
+    # Below four satellites the share is negative; there is no position then, and no error.
     share = (satellites - MIN_FIX_SATELLITES) / (MAX_SATELLITES - MIN_FIX_SATELLITES)
     return settings.max_noise + (settings.min_noise - settings.max_noise) * share
 
@@ -179,6 +180,7 @@ class Gps(Sensor):
         satellites = xp.isinf(inputs.hits.distance).sum().astype(xp.float32)
         pos, _ = self.mount_poses(inputs.bodies)
         deviation = largest_error(self.settings[0], satellites) / 3
+        # Cut off at three deviations, so that the largest error is not exceeded.
         error = deviation * random.truncated_normal(key, -3.0, 3.0, (2,))
         fixed = xp.where(satellites >= MIN_FIX_SATELLITES, pos[0, :2] + error, 0.0)
         return memory, xp.append(fixed, satellites)

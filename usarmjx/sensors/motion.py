@@ -96,6 +96,7 @@ class Odometry(Sensor):
     def check(self) -> None:
         """Check mounts and settings; see `Sensor.check`."""
         super().check()
+        # For its errors: an unknown wheel is refused with the robot, not at the first reading.
         _ = self._pair
 
     @cached_property

@@ -144,6 +144,7 @@ class Capture:
                 for member in np.flatnonzero(np.asarray(state.active)).tolist():
                     robots[int(group.slots[member])] = _robot_frame(group, member, body, state, clock)
                     overlays += _overlays(group, member, state)
+            # One call for all bodies: NumPy's time is that of its calls.
             turns = quat_from_mat(np.concatenate(mat))
         return Frame(
             # From the step counter in double precision: a float32 time loses milliseconds after a few hours.
@@ -294,6 +295,7 @@ def _robot_shapes(group: RobotGroup) -> dict[str, DrawnShape]:
             mat=drawn.mat[own],
             size=drawn.size[own],
             rgb=drawn.rgb[own],
+            # Robots' visuals are opaque, see `Part`.
             transparency=np.zeros(n, np.float32),
             material=np.full(n, OPAQUE, object),
         )
@@ -368,6 +370,7 @@ def _robot_frame(
     group: RobotGroup, member: int, body: RobotState, state: GroupState, clock: Clock
 ) -> RobotFrame:
     def own(values: Array) -> np.ndarray:
+        # A copy: the world goes on in the same memory.
         return np.array(values[member])
 
     age = float(clock.since(state.battery_start[member]))

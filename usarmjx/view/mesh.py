@@ -106,6 +106,7 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
 
 def linear_rgb(rgb: np.ndarray) -> np.ndarray:
     """Return linear colours (..., 3) of sRGB colours."""
+    # The curve of IEC 61966-2-1: a line near black, where a power would be too steep.
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
@@ -129,6 +130,7 @@ def _file(tree: bytes, binary: bytes) -> bytes:
         len(data).to_bytes(4, "little") + kind + data
         for kind, data in ((JSON_CHUNK, tree), (BINARY_CHUNK, binary))
     )
+    # 12 bytes of header count too: magic word, version and this length.
     return MAGIC + VERSION.to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks
 
 
@@ -173,6 +175,7 @@ def meshes_of(shape: DrawnShape) -> dict[Finish, TriangleMesh]:
             else:
                 parts.setdefault(finish, []).extend(_solids(shape, kind, rows))
     joined = {finish: join(meshes) for finish, meshes in parts.items()}
+    # A plane without bounds leaves a mesh without corners, which glTF does not allow.
     return {finish: mesh for finish, mesh in joined.items() if len(mesh.faces)}
 
 
@@ -298,6 +301,7 @@ def _bars(half: float) -> list[tuple[float, float]]:
 
 def _face(axis: int, sign: float, patches: list[tuple[float, ...]]) -> tuple[np.ndarray, np.ndarray]:
     """Return patches (n, 4, 3) of a face a unit away along an axis, and the face's normal (3,)."""
+    # In cyclic order, so that corners that turn from the first to the second are counter-clockwise.
     first, second = (axis + 1) % 3, (axis + 2) % 3
     corners = np.zeros((len(patches), 4, 3))
     low_1, high_1, low_2, high_2 = np.array(patches).T
@@ -311,6 +315,7 @@ def _face(axis: int, sign: float, patches: list[tuple[float, ...]]) -> tuple[np.
 def _quads(quads: list[tuple[np.ndarray, np.ndarray]]) -> _Solid:
     vertices = np.concatenate([corners.reshape(-1, 3) for corners, _ in quads])
     normals = np.concatenate([np.tile(normal, (4 * len(corners), 1)) for corners, normal in quads])
+    # Patches share no corners: each has the normal of its own face, which keeps edges sharp.
     starts = 4 * np.arange(len(vertices) // 4)[:, None]
     faces = np.concatenate([starts + np.array([0, 1, 2]), starts + np.array([0, 2, 3])])
     return vertices, normals, faces
@@ -366,6 +371,7 @@ def _turned(radius: np.ndarray, height: np.ndarray, normal: np.ndarray) -> _Soli
         height: Height of each ring [m] (rings,).
         normal: Outward and upward part of each ring's normal (rings, 2).
     """
+    # Without the full turn, which is the first corner again: the remainder below closes the ring.
     turn = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
     around = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(AROUND)])
     up = np.array([0.0, 0.0, 1.0])

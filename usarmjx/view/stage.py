@@ -87,6 +87,7 @@ class BodyBatch:
         self._handles = []
 
     def _add(self, number: int, finish: Finish, data: bytes) -> viser.BatchedGlbHandle:
+        # Shadows in a browser know no transparency: glass would cast that of a wall.
         is_clear = finish.opacity < 1.0
         return self._scene.add_batched_glb(
             f"{self._path}/{number}",
@@ -180,6 +181,7 @@ class Stage:
             # Single precision is what it draws, whatever types a recording holds.
             fields = [np.ascontiguousarray(value, np.float32).tobytes() for value in _numbers(shape)]
             data = b"".join([*fields, "\n".join(map(str, shape.material)).encode()])
+            # A short digest: keys are part of the nodes' paths in the scene.
             self._keys[shape] = hashlib.blake2b(data, digest_size=8).hexdigest()
         return self._keys[shape]
 

@@ -106,6 +106,7 @@ class _Framing:
         right = np.cross(self.ahead, UP)
         right /= np.linalg.norm(right)
         self._axes = np.stack([right, np.cross(right, self.ahead)])
+        # viser's field of view is vertical; the width follows from the aspect.
         self._half = math.tan(FOV / 2) * np.array([aspect, 1.0])
 
     def fitted(self) -> tuple[np.ndarray, float]:
@@ -199,6 +200,7 @@ class Walls:
         along = np.where(np.abs(along) < 1e-9, 1e-9, along)
         sides = np.sort([(-self._size - begin) / along, (self._size - begin) / along], axis=0)
         enters, leaves = sides[0].max(-1), sides[1].min(-1)
+        # A ray is in a box while it is between all three pairs of sides, here within the way to the point.
         return ((enters <= leaves) & (enters < 1.0) & (leaves > 0.0)).any(-1)
 
     def free_share(self, start: np.ndarray, end: np.ndarray) -> float:
@@ -384,6 +386,7 @@ class Viewer:
         move_camera(self.client, CameraPose(pose.pos + offset, pose.look_at + offset, pose.up))
 
     def _set_fov(self, fov: float) -> None:
+        # Each assignment is a message to the browser.
         if abs(self.client.camera.fov - fov) > 1e-3:
             self.client.camera.fov = fov
 

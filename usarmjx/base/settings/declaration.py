@@ -110,6 +110,7 @@ class Setting:
     @property
     def of_items(self) -> "Setting":
         """The part of the note that holds for the items of a list."""
+        # Lengths are those of the list itself; the other limits hold for each item.
         return dataclasses.replace(self, min_length=None, max_length=None)
 
     @property
@@ -192,6 +193,7 @@ def describe(kind: type) -> tuple[SettingField, ...]:
     hints, notes, texts = type_hints(kind), notes_of(kind), docstring_entries(kind)
     found: list[SettingField] = []
     for field in dataclasses.fields(kind):
+        # The constructor does not take such a field: it is computed, and no setting.
         if not field.init:
             continue
         note = notes.get(field.name, NO_NOTE)

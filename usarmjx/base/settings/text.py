@@ -38,6 +38,7 @@ LARGEST_WHOLE = 2**53
 """Largest float that stands for a whole number: beyond, not all of them are floats."""
 _NUMBER = re.compile(
     r"([+-]?(?:(?:\d[\d_]*\.?[\d_]*|\.\d[\d_]*)(?:[eE][+-]?\d+)?|\.?inf|\.?nan))\s*(\S*)",
+    # Without ASCII, \d takes the digits of all scripts.
     re.ASCII | re.IGNORECASE,
 )
 _OPENING, _CLOSING = "[({", "])}"
@@ -107,6 +108,7 @@ def parse_list(text: str) -> list[str] | None:
             item += letter
     if depth:
         return None
+    # Nothing behind the last comma is no item, as in (64,).
     return [*items, item.strip()] if item.strip() else items
 
 

@@ -219,6 +219,7 @@ def stairs(
     """
     going = rise / math.tan(angle)
     steps: list[Shape] = []
+    # The last rise is the edge of the floor, which is there already.
     for i in range(1, count):
         back = (count - i - 0.5) * going
         at = (head[0] - back * math.cos(uphill), head[1] - back * math.sin(uphill))
@@ -235,6 +236,7 @@ def heights(pattern: str) -> PostHeights:
     rows = pattern.split()
     if not rows or len({len(row) for row in rows}) != 1 or not all(row.isdigit() for row in rows):
         raise SpecError("a step field is drawn with rows of digits of the same length")
+    # The last row of text has the lowest y.
     return [[int(row[column]) for row in reversed(rows)] for column in range(len(rows[0]))]
 
 
@@ -416,6 +418,7 @@ def span(
 
 def waving(arm: str = "RightArm", rate: float = 2.0) -> tuple[SegmentMotion, ...]:
     """Return the motion of a victim that waves with a raised arm, at a rate [rad/s]."""
+    # Outwards is a roll of opposite signs on the two sides of a body.
     out = 0.5 if arm == "LeftArm" else -0.5
     move = SegmentMotion(
         name=arm, initial=(-2.7, 0.0, out), final=(-2.7, 0.0, -0.8 * out), rates=(0.0, 0.0, rate)
@@ -560,6 +563,7 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
 
 def finished(shapes: Iterable[Shape], finish: TexturesByColour) -> tuple[Shape, ...]:
     """Return solids with the textures of their colours."""
+    # A texture of its own counts: a sign keeps its picture whatever its colour.
     return tuple(
         shape if shape.texture else replace(shape, texture=finish.get(shape.rgba, "")) for shape in shapes
     )
@@ -584,6 +588,7 @@ def _bars(
             surface=surface,
             rgba=STEEL,
         )
+        # At these angles the octagon lies on a side, not on a corner.
         for roll in (math.pi / 8, 3 * math.pi / 8)
     )
 

@@ -329,6 +329,7 @@ def _check(arena: ArenaSpec, first: ArenaSpec) -> None:
             f"arena {arena.name} has {', '.join(fixed)}, which cannot differ between the worlds of a batch: "
             "use it alone"
         )
+    # The floor is part of the one model that all worlds share.
     if (arena.floor, arena.has_floor) != (first.floor, first.has_floor):
         raise SpecError(f"arenas {first.name} and {arena.name} of one batch have different floors")
     if not arena.starts:
@@ -373,6 +374,7 @@ def _template(
         shapes=(*slots, *[skin] * bones),
         starts=first.starts[: min(len(arena.starts) for arena in arenas)],
         extent=((float(low_x.min()), float(high_x.max())), (float(low_y.min()), float(high_y.max()))),
+        # The grid is in the world's axes; heights in an arena count from its floor.
         loose=tuple(
             LooseObject(
                 name=str(k), at=(x[k], y[k], z[k] - first.floor), shapes=loose.shapes, inertia=loose.inertia

@@ -213,6 +213,7 @@ def check_randomization(vary: DomainRandomization, robots: Sequence[RobotSpec], 
     """
     there = sorted({robot.name for robot in robots})
     lost = sorted(set(vary.classes) - set(there))
+    # A misspelt class would vary nothing, without a word.
     if lost:
         raise SpecError(f"vary: no robots of class {', '.join(lost)} here; there are {', '.join(there)}")
     if not radio and any(vary.range_of(name) for name in QUANTITY_RULES if name.startswith("radio")):

@@ -511,7 +511,9 @@ def loudness(table: VictimTable, time: Time, xp: ModuleType = np) -> Array:
 def mouth_positions(table: VictimTable, pos: Array, xp: ModuleType = np) -> Array:
     """Return the positions of the victims' mouths [m] (..., victims, 3), from the boxes' centres `pos`."""
     if table.num_boxes == 0:
+        # An axis of length 0 cannot be indexed, even where the result is not used.
         return xp.broadcast_to(table.at, (*pos.shape[:-2], *table.at.shape))
+    # -1, no box, would read the last row; the next line drops what is read in its place.
     found = pos[..., xp.maximum(table.mouth, 0), :]
     return xp.where(table.mouth[:, None] >= 0, found, table.at)
 
@@ -530,6 +532,7 @@ def rest_height(posture: str) -> float:
 def lowest_points(table: VictimTable, time: Time) -> np.ndarray:
     """Return the height of every box's lowest point at a time (...,) [m] (..., boxes)."""
     pos, quat = segment_poses(table, time)
+    # The half height of a turned box is the sum of its half lengths' shares along the vertical.
     return pos[..., 2] - (np.abs(orientations(quat)[..., 2, :]) * table.size).sum(-1)
 
 
@@ -562,6 +565,7 @@ def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
     """Return the boxes' corners for joint angles (..., boxes, 3) [m] (..., boxes, 8, 3)."""
     pos, quat = _poses(table, angles, xp)
     signs = xp.asarray([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    # The table's precision: double precision of the signs would widen all corners.
     offsets = signs.astype(table.size.dtype) * table.size[:, None]
     away = rotated(parts(quat[..., None, :]), parts(offsets))
     return pos[..., None, :] + xp.stack(away, -1)

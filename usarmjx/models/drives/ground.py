@@ -126,6 +126,7 @@ class Ackermann(Drive):
         x, y = positions
         # The bicycle's two steering angles fix the turning centre; its curvature is 0 on a straight course.
         curvature = (xp.tan(front) - xp.tan(rear)) / self.wheel_base
+        # FrontSteer is the angle of the foremost axle: the course of other points follows from there.
         behind = x - max(wheel.x for wheel in self.wheels)
         return 1.0 + curvature * y, xp.tan(front) + curvature * behind
 

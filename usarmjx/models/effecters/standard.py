@@ -161,6 +161,7 @@ class Gripper(Effecter):
         """Return the target angle; on contact the servos press with their full force."""
         del stock
         if opcode == NOP:
+            # A velocity of 0 stops the fingers; a position would have to be measured first.
             return Effect(target=xp.zeros_like(value), mode=1)
         return Effect(target=xp.full_like(value, self.settings.min_angle) if opcode == RESET else value)
 
@@ -175,6 +176,7 @@ class Gripper(Effecter):
 
     def _finger(self, name: str, side: float, twin: str | None) -> Part:
         low, high = (LEVER * math.sin(a / 2) for a in (self.settings.min_angle, self.settings.max_angle))
+        # Half a finger beside its joint, so that the inner faces meet at joint position 0.
         at = (FINGER[0], side * FINGER[1], 0.0)
         shape = Shape(kind="box", size=FINGER, at=at, mass=0.1, surface="finger", rgba=GREY)
         return self.part_in_parent(

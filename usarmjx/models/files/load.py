@@ -197,6 +197,7 @@ def read_arena(path: str | Path, *, packages: Iterable[str | Path] = ()) -> tupl
     else:
         content = READERS[path.suffix.lower()](path, resources)
     arena = ArenaSpec(name=path.stem, starts=(), extent=EMPTY_EXTENT)
+    # Such a file sets no fields of an arena: errors name its first line.
     arena = complete_arena(arena, content, FileValue(None, path, 1, refusal=ArenaFileError), set())
     return arena, content.warnings + scale_notes(arena, path)
 
@@ -312,6 +313,7 @@ READERS: dict[str, Callable[[Path, Resources], Content]] = {
     **dict.fromkeys((".map", ".scen"), _plain(moving_ai_content)),
     ".rndf": _plain(roads_content),
     ".txt": _plain(_text),
+    # Known only to be refused with advice, so `SUFFIXES` leaves them out.
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _plain(_usd)),
 }
 """Reader of each suffix, apart from YAML."""

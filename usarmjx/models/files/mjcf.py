@@ -403,6 +403,7 @@ class _MjcfReader:
 
     def __init__(self, path: Path, spec: mujoco.MjSpec, model: mujoco.MjModel, surface: str) -> None:
         self._path, self._model, self._surface = path, model, surface
+        # The compiled model has no densities: masses of single geoms come from the description.
         self._described = {geom.id: geom for geom in spec.geoms}
         self._data = mujoco.MjData(model)
         # Not `mj_forward`: poses need neither contacts nor forces, which are slow in large scenes.

@@ -55,6 +55,7 @@ class Resources:
         """
         for scheme in PACKAGE_SCHEMES:
             if name.startswith(scheme):
+                # Addresses escape blanks in names of models, as in My%20Model.
                 package, _, inside = unquote(name.removeprefix(scheme)).lstrip("/").partition("/")
                 found = (home / inside for home in self.packages(package, origin))
                 return next((path for path in found if path.exists()), None)
@@ -82,6 +83,7 @@ class Resources:
 
     def packages(self, package: str, origin: Path) -> Iterator[Path]:
         """Yield the folders that a package's or a model's name may mean: above the file, then elsewhere."""
+        # Such a name would mean the folder of the file itself, or the one above it.
         if not package or package in (".", ".."):
             return
         # Resolved: a link may lead into the package that the file belongs to.
@@ -179,6 +181,7 @@ def _levels(base: Path) -> Iterator[Path]:
             fresh += _folders(folder)
         yield from fresh
         seen += len(fresh)
+        # A search path may be the root of a disk, which must not be walked as a whole.
         if seen > MAX_SEARCHED_FOLDERS:
             return
         level = fresh
@@ -189,5 +192,6 @@ def _folders(folder: Path) -> Sequence[Path]:
         with os.scandir(folder) as found:
             # Sorted: file systems list in any order, and the first match counts.
             return sorted(Path(one.path) for one in found if one.is_dir() and not one.name.startswith("."))
+    # A folder that may not be read holds nothing for this user.
     except OSError:
         return ()

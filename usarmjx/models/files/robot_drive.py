@@ -72,6 +72,7 @@ class BodyTree:
         self.model, self._path = model, path
         self._slippery = slippery
         touching = (model.geom_contype | model.geom_conaffinity) > 0
+        # Without the world's geoms: a floor in the file says nothing about the robot's own solids.
         self._has_contacts = bool(np.any(touching & (model.geom_bodyid > 0)))
         self._described = {geom.id: geom for geom in spec.geoms}
         self._joint_info = {joint.id: joint.info for joint in spec.joints}
@@ -240,6 +241,7 @@ class BodyTree:
             for geom, frame in self._geoms(owner)
             if self._only_looks(geom)
         ]
+        # Visuals of robots have to be opaque, see `Part`.
         return tuple(replace(shape, rgba=(*shape.rgba[:3], 1.0)) for shape in found)
 
     def _geoms(self, owner: int) -> list[tuple[int, Pose]]:
@@ -544,6 +546,7 @@ def _skid(
         max_spin=min(spins, default=DEFAULT_SPIN),
         radius=radius or stated.radius,
         max_turn=stated.max_turn,
+        # Only a controller that limits the turning rate uses it, see `SkidSteer`.
         lever=float(np.ptp(lateral)) if math.isfinite(stated.max_turn) else 0.0,
     )
 
@@ -597,6 +600,7 @@ def _car(
         ),
         max_spin=min(spins, default=DEFAULT_SPIN),
         radius=radius,
+        # The smallest: each wheel of an axle has to reach the angle.
         max_front_steer=min(angles[True], default=0.0),
         max_rear_steer=min(angles[False], default=0.0),
     )
@@ -604,6 +608,7 @@ def _car(
 
 def wheel_torque(mass: float, radius: float, wheels: int, grip: float = 0.8) -> float:
     """Return the torque at which a robot's wheels begin to slip [N m], for motors without a limit."""
+    # Each wheel is taken to bear the same share of the weight.
     return mass * GRAVITY * grip * radius / max(wheels, 1)
 
 
@@ -639,6 +644,7 @@ def rotor_drive(model: mujoco.MjModel, root: int, rotors: list[int], size: np.nd
         max_turn=FLIGHT_TURN,
         mass=mass,
         inertia=(inertia[0], inertia[1], inertia[2]),
+        # The face of the box across each axis, times the coefficient [m2].
         drag_areas=(FLIGHT_DRAG * y * z, FLIGHT_DRAG * x * z, FLIGHT_DRAG * x * y),
         max_thrust=lift,
         max_torque=(lift * arm / 2, lift * arm / 2, lift * arm / 10),

@@ -128,6 +128,7 @@ class RobotSource:
 
 def plain_name(name: str) -> str:
     """Return a name with `_` in place of letters that the wire does not take in names."""
+    # Blanks and braces separate words and segments of a message; other scripts are no ASCII.
     return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
 
 

@@ -137,6 +137,7 @@ def _partitions(plan: CellGrid, draw: RandomStream) -> list[list[Edge]]:
         length = columns if tall else rows
         # At least two cells remain on either side of the corridor.
         at = draw.randint_between(2, length - 3)
+        # Both walls of the corridor, which is one cell wide.
         for line in (at, at + 1):
             walls.append(_line(rooms[0], line, tall))
         rooms = [_part(rooms[0], 0, at, tall), _part(rooms[0], at + 1, length, tall)]
@@ -296,11 +297,13 @@ def budget(kind: str, size: tuple[int, int]) -> Budget:
         UnknownNameError: No such kind.
     """
     made, most, (columns, rows) = KINDS.get(kind), counts(size), size
+    # Rounded up: straight walls are cut at their largest length.
     outer = 2 * (-(-columns // MAX_WALL_CELLS) - (-rows // MAX_WALL_CELLS))
     # Along a line at most every other cell begins a run of wall, and every wall may have two sheets.
     inner = 2 * ((columns - 1) * -(-rows // 2) + (rows - 1) * -(-columns // 2))
     shapes = outer + inner + most["blocks"] + most["boards"] + made.structures(size) * made.max_solids
     shapes += most["obstacles"] * MAX_OBSTACLE_SOLIDS
+    # A slab on two walls over each victim; two ramps and a deck upstairs.
     shapes += 3 * most["victims"] * made.voids + 3 * made.second_floor
     return Budget(
         shapes=shapes,

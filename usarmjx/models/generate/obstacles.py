@@ -275,6 +275,7 @@ def ridge(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
 
 def obstacle_height(robot: RobotFootprint, roughness: float, highest: float = MAX_HEIGHT_RATIO) -> float:
     """Return the height of obstacles for a robot [m]; `highest` at roughness 1, over its step."""
+    # A measured limit may lie below the usual lowest height.
     return lerp(min(MIN_HEIGHT_RATIO, highest), highest, roughness) * robot.step
 
 

@@ -369,6 +369,7 @@ def _model_of(pair: JointPair, robots: Registry[RobotSpec]) -> Part | None:
     name = as_class(pair.line, written, "PartClass") if written is not None else ""
     owner = name.lower().removesuffix("tire")
     if owner != name.lower() and owner in robots:
+        # Radius and width are read off the first solid, which has both only as a cylinder.
         wheels = [part for part in robots.get(owner).wheels if part.shapes[0].kind == "cylinder"]
         if wheels:
             side = pair.chassis_position[1]
@@ -585,6 +586,7 @@ def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
         shapes=_shapes(link, before),
         joint="Revolute" if joint == "Revolute" else "Prismatic",
         motor=motor,
+        # The old looks do not fit a box of another size.
         looks=before.looks if fields.get("Size") is None else (),
     )
 
