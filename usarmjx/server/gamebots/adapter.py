@@ -352,6 +352,7 @@ class Client:
         try:
             joint = robot.plan.joint_index(name)
             part = None if joint is None else parts_of(robot.spec)[joint]
+            # A wheel has a motor, but no servo that holds its angle.
             if joint is None or part is None or part.motor is None or part.is_wheel:
                 raise PeerError(f"{robot.spec.name} has no joint {clip(name)} with a servo that holds it")
             self._world.set_stiffness(robot, joint, command.share)

@@ -58,6 +58,7 @@ def binary_order(command: Set) -> bool | None:
         return value != 0.0
     if opcode == "close":
         return True
+    # With a number Open is the manual's own operation, by the angle between the fingers (11.1.1).
     return False if opcode == "open" and not command.params else None
 
 

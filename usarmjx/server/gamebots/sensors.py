@@ -397,6 +397,7 @@ def geometry(
     effecters = [effecter.mount for effecter in _effecters(robot, kind, name)]
     for matching in (_mounts(robot.sensors, kind, name), effecters, _mounts(robot.cameras, kind, name)):
         if matching:
+            # Under the type that was asked for, which may be the later versions' name.
             answers.append(geo_items(kind, [(m.name, m.at, m.direction, m.parent) for m in matching]))
     packages = _packages(robot, name) if kind.lower() in package_types else []
     if packages:

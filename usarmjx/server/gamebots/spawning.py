@@ -31,6 +31,7 @@ def spawn_from_init(
     Raises:
         UsageError: There is no room for it, no such start pose, or a robot of that name, case ignored.
     """
+    # The views of image clients and the radio find a robot by its name, whose case does not count.
     if init.name.lower() in names_of_robots(world):
         raise UsageError(f"there is a robot {init.name} already")
     poses = _poses(world, init, spec)

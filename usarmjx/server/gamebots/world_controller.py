@@ -89,6 +89,7 @@ def add_points(world: ServedWorld, index: int, command: Control) -> None:
     before = world.motions.get(name, ObjectMotion())
     points = np.concatenate([before.points, _points(world, options, len(before.points))])
     motion = replace(before, points=points)
+    # An object begins at its first point; further points leave it where it is.
     if not len(before.points):
         _put(world, index, motion)
     world.motions[name] = motion
@@ -103,6 +104,7 @@ def clear_path(world: ServedWorld, index: int, command: Control) -> None:
         return
     if motion.resets:
         world.move_loose(index, *_first_pose(world, index))
+    # The rotation is a command of its own, and goes on without a path.
     if motion.spin.any():
         world.motions[name] = ObjectMotion(spin=motion.spin, angles=motion.angles, resets=motion.resets)
     else:
@@ -294,6 +296,7 @@ class WorldController:
         # Positions in an arena are above its floor, those on the wire are not.
         place, angles = (x, y, z - world.arena.floor), flip_wire_angles(command.rotation or _ORIGIN)
         if command.start:
+            # A start pose is above the floor already, as all positions in an arena.
             start = start_of(world.arena, command.start)
             place, angles = start.at, start.angles
         world.check_position((*place[:2], place[2] + world.arena.floor))
@@ -332,6 +335,8 @@ class WorldController:
         # Names and poses are taken once before: each removal shifts the indices of the objects behind it.
         for name, row in zip(self._names(), poses, strict=True):
             about = world.created.get(name, ARENA_OBJECT)
+            # The corners are in the wire's axes, and so is the comparison: a box of ours would have them
+            # swapped.
             place = flip_wire_vector(row[:3])
             is_inside = ends is None or all(
                 low < value < high for low, value, high in zip(ends[0], place, ends[1], strict=True)

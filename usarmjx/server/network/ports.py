@@ -214,6 +214,7 @@ def _is_ours(address: str) -> bool:
 
 def _refusal(host: str, port: int, option: str, error: OSError) -> UsageError:
     """Return the error for the user, with the option that would help."""
+    # A port that no option sets, as a free one for a call by radio, has no remedy to name.
     if not option:
         hint = ""
     elif error.errno in WRONG_PORT:

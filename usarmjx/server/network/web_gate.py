@@ -137,6 +137,7 @@ def asking_token(gate: Gate, answer: RequestAnswer) -> RequestAnswer:
         response = answer(connection, replace(request, path=path))
         if has_token and response is not None:
             # The address with the token must not stay in a cache, nor travel on as a referrer.
+            # Not Secure, either: pages come over plain HTTP, where browsers refuse such a cookie from afar.
             cookie = f"{COOKIE}={gate.rules.cookie}; Path=/; HttpOnly; SameSite=Strict"
             response.headers["Set-Cookie"] = cookie
             response.headers["Referrer-Policy"] = "no-referrer"

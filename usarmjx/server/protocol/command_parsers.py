@@ -111,6 +111,7 @@ def _get_start_poses(message: Message) -> Command | Ignored:
 def _drive(message: Message) -> Command | Ignored:
     light = message.get("Light")
     normalized, flip = to_bool(message.get("Normalized")), to_bool(message.get("Flip"))
+    # An absent Light is not False: it keeps the headlight as it is.
     switches = (normalized, to_bool(light) if light else None, flip)
     if any(message.all("WheelNumber")):
         return _drive_wheels(message, switches)

@@ -113,6 +113,7 @@ def conf_robot(configuration: RobotConfiguration) -> Message:
         ("SteeringType", configuration.steering),
         ("Mass", four_decimals(configuration.mass)),
     ]
+    # The lines of the other vehicles end here (manual 9.3).
     if configuration.kind == "GroundVehicle":
         segments += [
             ("MaxSpeed", four_decimals(configuration.max_speed)),

@@ -105,6 +105,7 @@ class RobotSession:
         if self.phase is SessionPhase.CLOSED:
             return []
         lines = self._lines.feed(data)
+        # A fault for each of them: a client that sends nothing else is dropped for faults in a row.
         for _ in range(self._lines.take_too_long()):
             self._fault(f"a line of more than {self._lines.limit} bytes is skipped")
         return self._take(lines)
@@ -223,6 +224,7 @@ class RobotSession:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
         if isinstance(command, Init):  # its answer decides whether it was of any use
+            # In the client's spelling for now: the adapter has that of the class once the robot exists.
             self.robot_class = command.class_name
         else:
             self.faults_in_a_row = 0

@@ -47,6 +47,7 @@ class MultiView:
     @property
     def columns(self) -> int:
         """Number of pictures in a row."""
+        # The box pattern of WideMode 0 (manual 3.2.6.3): as near to a square as the cameras allow.
         return self.wide_mode or math.ceil(math.sqrt(self.camera_num))
 
     @property

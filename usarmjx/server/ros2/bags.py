@@ -147,6 +147,7 @@ class BagWriter:
         self._writer.finish()
         self._stream.close()
         count = sum(self.topics.values())
+        # A bag without messages still has -1 as its first time.
         start = {"nanoseconds_since_epoch": max(self._first, 0)}
         lasted = {"nanoseconds": max(self._last - self._first, 0)}
         about = {

@@ -457,6 +457,7 @@ class Ros2Server:
         self._robots.forget_lost()
         self._robots.tick()
         topics = self._topics.all()
+        # By identity: the topics stay the same object until a robot comes or goes.
         if topics is not self._known:
             self._follow(topics)
         pictures: list[PublishedTopic] = []

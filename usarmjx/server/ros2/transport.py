@@ -142,6 +142,7 @@ def _hash(name: str, fields: Mapping[str, str], more: Mapping[str, Mapping[str, 
     described: dict[str, Any] = {}
     waiting = [(name, fields)]
     while waiting:
+        # In any order: the descriptions are sorted below.
         full, own = waiting.pop()
         if full in described:
             continue

@@ -156,6 +156,7 @@ class TransportWorker:
         self._do(lambda _: send(self._bytes.whole(kind, message)))
 
     def _closable(self, make: Callable[[Transport], Closable]) -> Closable:
+        # Both jobs run in the worker's thread in this order: nothing is closed before it is made.
         handle = _Handle(lambda handle: self._do(lambda _: handle.close_found(), changes=True))
         self._do(lambda transport: handle.take(make(transport)), changes=True)
         return handle

@@ -49,6 +49,7 @@ OWN_CONFIG = {
     "listen/endpoints": ["tcp/localhost:0"],
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": True,
+    # Publishers that keep messages for late readers are refused without it.
     "timestamping/enabled": True,
 }
 """Configuration unless `CONFIG_VARIABLE` names another: as rmw_zenoh's, by a router on this machine."""

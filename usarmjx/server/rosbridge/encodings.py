@@ -57,6 +57,7 @@ def split_kind(kind: str) -> tuple[str, bool, int]:
 
 def number_array(base: str, values: Any) -> bytes:  # noqa: ANN401 - a list of numbers, or bytes
     """Return numbers of a type one after the other, little-endian."""
+    # Pictures are bytes already, and have no list of a million numbers in between.
     if isinstance(values, bytes):
         return values
     return np.asarray(values, np.dtype(FORMATS[base]).newbyteorder("<")).tobytes()

@@ -158,6 +158,7 @@ def _part(message: object, name: str) -> Mapping[str, Any]:
 
 def _number(part: Mapping[str, Any], axis: str) -> float:
     value = part.get(axis, 0.0)
+    # In this form the comparison refuses NaN, too.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
         raise UsageError(f"{axis} of a geometry_msgs/Twist is {str(value)[:20]!r}, expected a finite number")
     return float(value)

@@ -67,6 +67,7 @@ def _geometry(shape: Shape) -> tuple[str, dict[str, str]] | None:
         length = 2 * half + (2 * radius if shape.kind == "capsule" else 0.0)
         return "cylinder", {"radius": f"{radius:.6g}", "length": f"{length:.6g}"}
     if shape.kind in ("sphere", "ellipsoid"):
+        # URDF has no ellipsoid: the ball around one stands for it.
         return "sphere", {"radius": f"{max(shape.size):.6g}"}
     return None
 

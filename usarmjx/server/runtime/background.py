@@ -43,6 +43,7 @@ class Serving(contextlib.AbstractContextManager["Serving"]):
         self._listening, self._fault = threading.Event(), list[BaseException]()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._all: ServerLoop | None = None
+        # A daemon: a program that does not call `stop` must end all the same.
         self._thread = threading.Thread(target=self._run, name="usarmjx serving", daemon=True)
         self._thread.start()
         if not self._listening.wait(START_LIMIT):
@@ -106,6 +107,7 @@ class Serving(contextlib.AbstractContextManager["Serving"]):
     async def _serve(self) -> None:
         self._loop, self._all = asyncio.get_running_loop(), ServerLoop(self._servers, self._factor)
         running = asyncio.create_task(self._all.run())
+        # Polled: `run` listens and serves in one coroutine, and a taken port ends it before it listens.
         while not self._all.listening and not running.done():
             await asyncio.sleep(0.01)
         if self._all.listening:

@@ -96,6 +96,7 @@ class LibraryLimit(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether a record is logged, after shortening it."""
+        # Below warnings a line is logged only where the user has asked for all of them.
         if record.levelno < logging.WARNING:
             return True
         # The unformatted text tells kinds apart; with addresses filled in every line would be a new kind.
@@ -156,6 +157,7 @@ class LogTail(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a line: time of day, level and message."""
+        # A line end in a message would make one line look like two.
         message = redact(" ".join(record.getMessage().splitlines()))
         when = self._times.formatTime(record, self._times.datefmt)
         self.lines.append(f"{when} {record.levelname} {message}"[:MAX_LOG_LINE])

@@ -81,6 +81,7 @@ class StepMeter:
         if seen != self._seen:
             self.count(now)
         else:
+            # A pause is no gap between two steps.
             self._last = now
         self._seen = seen
 
@@ -284,10 +285,12 @@ class ServerLoop:
         try:
             # All listen before the first line: a reader of one world's address may use the others at once.
             for lines in [self._announcement(server, await server.start()) for server in self._servers]:
+                # Flushed: a program that has started this one waits for these lines at a pipe.
                 print(*(f"usarmjx: {line}" for line in lines), sep="\n", flush=True)
             self.listening = True
             await self._run_worlds()
         finally:
+            # All of them, also those that do not listen yet because another's port is taken.
             for server in self._servers:
                 server.stop()
 
@@ -297,6 +300,7 @@ class ServerLoop:
 
     def _times_up(self, served: float) -> bool:
         """Return whether the time limit is reached, after some time of serving [s of simulated time]."""
+        # That of the first world, as all worlds have one clock.
         limit = self._servers[0].settings.time_limit
         # Half a step as margin: the time is a sum of floats, and would end a step late.
         return limit > 0 and served >= 60 * limit - self._servers[0].world.period / 2
@@ -322,6 +326,7 @@ class ServerLoop:
             await self._clock.sleep(world.period)
         ended = time.perf_counter()
         self._clock.finish(ended)
+        # A signal may come before any time is spent.
         spent = max(ended - began, 1e-9)
         print(
             f"usarmjx: stopped after {world.time - start:.1f} simulated s; real-time factor "
@@ -363,6 +368,7 @@ def low_latency() -> Generator[None]:
     finally:
         sys.setswitchinterval(switch_interval)
         gc.set_threshold(*thresholds)
+        # Programs that go on after the server have their objects collected as before.
         gc.unfreeze()
 
 

@@ -72,6 +72,7 @@ def _outlive_nobody(pipe: int) -> None:
     with contextlib.suppress(OSError):
         # Returns at the end of file, which the system makes when the last writer has ended, even by SIGKILL.
         os.read(pipe, 1)
+    # By the signal, not by an exit: its handlers complete the files first.
     os.kill(os.getpid(), signal.SIGTERM)
 
 

@@ -154,6 +154,7 @@ def _select(world: ServedWorld, wanted: Mapping[str, str]) -> Selection:
     if not robots or (of_items and not any(map(selection.takes, _mounts(robots)))):
         query = " ".join(f"{key}={value}" for key, value in wanted.items())
         here = ", ".join(f"{robot.name} ({robot.spec.name})" for robot in present) or "none"
+        # Without a robot of that name the items of all are listed: the name may be what is wrong.
         items = ", ".join(sorted({f"{mount.kind} {mount.name}" for mount in _mounts(robots or present)}))
         raise UnknownNameError(f"nothing here is {query}; robots: {here}; on them: {items or 'nothing'}")
     return selection
@@ -236,6 +237,7 @@ def _charge(world: ServedWorld, robot: Robot, left: float) -> None:
 def _robot_line(world: ServedWorld, robot: Robot) -> str:
     spec = robot.spec
     known = {BATTERY: world.battery(robot), "batteryLife": spec.battery_life, "msgTimer": spec.msg_timer}
+    # The edited parameters come last: they are in force, not those of the class.
     known |= {"Weight": spec.mass, "MaxTorque": spec.max_torque} | robot.parameters
     if spec.drive.max_speed and "maxSpinSpeed" not in known:
         known["maxSpinSpeed"] = spec.drive.max_speed
@@ -553,6 +555,8 @@ class ConsolePanel:
     def run(self, client: viser.ClientHandle, line: str) -> str:
         """Carry out a user's line, in the thread that runs the worlds; return the text to show."""
         page = self._page
+        # Made for each line: the page may show another world by now, and the controls may have another
+        # holder.
         console = SpectatorConsole(
             self._worlds[page.world],
             page.controls,
@@ -596,6 +600,7 @@ class UserConsole:
     def enter(self) -> None:
         """Carry out the line."""
         line = self._line.value.strip()
+        # The end of the text stays: the last answer is the one that is read.
         self._text = f"{self._text}> {line}\n{self._run(line)}\n"[-MAX_ANSWERS:]
         # The log has texts of clients, which must not become part of the page.
         self._shown.content = f'<pre style="{STYLE}">{html.escape(self._text)}</pre>'

@@ -317,6 +317,7 @@ class ServedControls:
                 _, request = self._requests.popitem(last=False)
             # Outside the lock: carrying it out may add requests.
             self._guarded(request.world, request.act)
+            # The next request waits for the next step: two slow ones would delay the reports of all clients.
             if request.takes_long:
                 return
 
@@ -363,6 +364,7 @@ class ServedControls:
 
     def step(self, steps: int = 1) -> None:
         """Make some control steps in all worlds, and pause them."""
+        # All worlds have one clock: what it refuses is shown with the first world.
         self._guarded(0, partial(self._clock.step, steps))
 
     def set_speed(self, factor: float) -> None:

@@ -139,6 +139,7 @@ class CameraInset:
         group, _ = self._world.scene.group_of(slot)
         lens = cameras_of(self._world.scene.groups[group].robot)[index]
         own = slice(robot.body, robot.body + robot.num_bodies)
+        # Frames have w first, as MuJoCo; SciPy has it last by default.
         turns = Rotation.from_quat(frame.quat[own], scalar_first=True).as_matrix()
         bodies = BodyPoses(pos=frame.pos[own], mat=turns.astype(np.float32))
         fov = np.asarray(frame.robots[slot].fovs[index], np.float32)

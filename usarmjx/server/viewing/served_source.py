@@ -79,6 +79,7 @@ class ServedSource:
         served = self._worlds[world]
         state, physics = served.one_world()
         names = {slot: robot.name for slot, robot in served.robots.items()}
+        # Where all worlds have the same arena an episode changes nothing that is drawn.
         episode = 0 if state.arena_state is None else int(state.episode)
         # Episode and number, too: worlds of a batch share a scene, and change arenas at resets.
         key = served.scene, tuple(names.items()), episode, int(state.number)

@@ -149,5 +149,7 @@ class ViewerService:
 
 def page_address(settings: ViewerSettings, port: int) -> str:
     """Return the address of a page as a line for the user."""
+    # IPv6 needs brackets in an address of a page (RFC 3986, 3.2.2).
     shown = f"[{settings.host}]" if ":" in settings.host else settings.host
+    # Not the token itself: lines for the user end in logs that are passed on.
     return f"see it at http://{shown}:{port}/{'?token=...' if settings.access.token else ''}"

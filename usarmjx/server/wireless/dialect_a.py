@@ -327,6 +327,7 @@ class ComServer:
     def _forget(self, name: str) -> None:
         self._registrations.pop(name, None)
         self._listening.pop(name, None)
+        # A robot must be seen under the new registration before that one may move to another address.
         self._seen.discard(name)
 
 

@@ -81,7 +81,7 @@ class RadioChannel:
         return (robot for _, robot in sorted(self._world.robots.items()))
 
     def _find(self, name: str) -> Robot | None:
-        # Robots go in any case, although both dialects match registered names exactly.
+        # The world finds robots in any case, although both dialects match registered names exactly.
         wanted = name.lower()
         return next((robot for robot in self._robots() if robot.name.lower() == wanted), None)
 

@@ -106,6 +106,7 @@ async def listen(
     Raises:
         UsageError: The port is taken or the address is not ours.
     """
+    # asyncio logs a traceback for each connection that it cannot accept for want of descriptors.
     limit_libraries()
     host, port = where
     bound = bound or bound_socket(host, port)

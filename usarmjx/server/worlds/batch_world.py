@@ -379,6 +379,7 @@ class BatchWorld(ServedWorld):
         """Return the radio links as they are now, by slot; those of the batch, if it has a radio."""
         if self.scene.radio is None:
             return super().links(radio)
+        # The state keeps the links, which are evaluated once in a control step, however many ask.
         self._state, links = self._batch.links(self._state)
         return jax.tree.map(lambda x: np.asarray(x[self._instance]), links)
 
@@ -442,6 +443,7 @@ class InstanceSwitch:
         return [f"another world: type its number, 0 to {self._worlds - 1}"]
 
     def _read(self) -> None:
+        # A terminal hands over whole lines: this does not wait for the rest of one.
         line = self._stream.readline()
         if not line:  # the terminal has gone
             self.stop()

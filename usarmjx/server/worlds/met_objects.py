@@ -141,6 +141,7 @@ class ObjectFinder:
         ]
         bodies = sense_self(scene, world, physics, scene.groups[group]).bodies
         origin, along = own.rays(jax.tree.map(lambda rows: rows[member], bodies))
+        # C MuJoCo casts rays in double precision only.
         rays = np.asarray(origin, np.float64), np.asarray(along, np.float64)
         query = query_of(own, np.int32(slot))
         distance, _, geoms = caster.hit_geoms(*rays, query, np.concatenate([caster.geoms_of(slot), *parked]))

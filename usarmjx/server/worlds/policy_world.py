@@ -730,6 +730,7 @@ class PolicyFollower:
         while True:
             await asyncio.sleep(self._interval)
             found = newest(self._run)
+            # Without a checkpoint, as in a folder that is being replaced, the present policy drives on.
             if found not in (None, self._driving):
                 await self._take(found)
 

@@ -87,6 +87,7 @@ def record_step(
                 physics=seen,
                 names={slot: robot.name for slot, robot in world.robots.items()},
                 trace=world.traces.sketch() if world.traces.points else None,
+                # By name: `policy_world`, whose worlds alone have a score, imports this module.
                 score=getattr(world, "score", None),
                 links=_links(world, recorder.radio),
             )
@@ -96,6 +97,7 @@ def record_step(
 def _links(world: "ServedWorld", radio: RadioSettings | None) -> Links | None:
     """Return the links of robots whose radio is the server's."""
     # A world with a radio of its own has its links in its state already.
+    # One robot alone has no link, either.
     if radio is None or world.scene.radio is not None or len(world.robots) < 2:
         return None
     return world.links(radio)

@@ -82,6 +82,7 @@ class Traces:
             return
         trace.last, trace.next = position, time + max(MIN_INTERVAL, trace.command.interval)
         trace.count += 1
+        # The first point of a trace is kept whatever the stride is.
         if (trace.count - 1) % self.stride == 0:
             self.points.append((position, trace.command.color))
         if len(self.points) > MAX_POINTS:
