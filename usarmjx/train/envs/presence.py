@@ -132,6 +132,7 @@ def come_and_go(
         present: Which robots are to be in the world, by slot (worlds, robots).
     """
     worlds, joined, pins = regroup_worlds(batch.worlds, present)
+    # Only on the host can the mask be read: a traced engine sets poses in any case.
     if not engine.traceable and not np.asarray(joined).any():
         return batch.replace(worlds=worlds)
     return batch.replace(worlds=worlds, physics=engine.set_qpos(batch.physics, *pins))

@@ -264,6 +264,7 @@ class Checkpoints:
 
     def _begin(self, fresh: Path, process_group: ProcessGroup) -> None:
         if process_group.index == 0:
+            # A trainer that was killed while it wrote may have left one.
             shutil.rmtree(fresh, ignore_errors=True)
             fresh.mkdir(parents=True)
 

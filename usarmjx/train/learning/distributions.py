@@ -71,12 +71,14 @@ class ChoiceDistribution:
 
     def log_prob(self, logits: jax.Array, choice: jax.Array) -> jax.Array:
         """Return the logarithm of the probability of a choice (...)."""
+        # A sum of products with 0: `INVALID` is finite, so none of them is NaN.
         return (jax.nn.log_softmax(logits) * choice).sum(-1)
 
     def entropy(self, logits: jax.Array, key: jax.Array) -> jax.Array:
         """Return the entropy [nat] (...); the key is not needed."""
         del key
         share = jax.nn.softmax(logits)
+        # A share that underflows to 0 adds nothing, which is the limit of x log x.
         return -(share * jnp.where(share > 0, jax.nn.log_softmax(logits), 0.0)).sum(-1)
 
 

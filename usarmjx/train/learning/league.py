@@ -159,6 +159,7 @@ class Rivals:
             keys: Keys of the worlds (worlds,).
         """
         drawn = draw_opponents(league, self._config.league_mix, keys)
+        # All worlds draw, as shapes are fixed; those amid an episode keep theirs.
         opponent = jnp.where(is_first, drawn, opponent)
         itself = opponent == league.size + 2
         agents = len(self.rows) + len(self.team)
@@ -248,6 +249,7 @@ def update_league(
         name: getattr(league, name) + one for name, one in zip(RESULTS, (games, won, lost), strict=True)
     }
     games, won, lost = games[:-1], won[:-1], lost[:-1]  # idle rivals are not rated
+    # A draw counts half, as in Elo's system.
     points = won + (games - won - lost) / 2
     all_ratings = jnp.concatenate([league.ratings, jnp.full(1, FIRST_RATING)])
     surprise = points - games * expected_result(league.rating, all_ratings)

@@ -97,6 +97,7 @@ class ArenaStream:
         self._requests: dict[int, Future[ArenaState]] = {}
         # Without a later generation processes would start only to be ended.
         self._workers = WorkerProcesses(workers, [Buildings.__module__]) if workers and self._last else None
+        # One thread: the generation that is due first is made first.
         self._pool = ThreadPoolExecutor(1, "arenas")
         # The thread would otherwise keep generating for a trainer that is dropped.
         finalize(self, self._pool.shutdown, wait=False, cancel_futures=True)

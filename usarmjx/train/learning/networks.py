@@ -238,6 +238,7 @@ class SetNetwork(nn.Module):
             x = nn.elu(dense(size, f"layer_{i}")(x) + self._gather(x, there, i, size))
         first = 1 + layout.others[0]
         init = nn.initializers.orthogonal(self.scale)
+        # One row of weights for all choices: it fits any number of them, in any order.
         head = nn.Dense(1 if self.chooses else self.outputs, kernel_init=init, name="head")
         out = head(x[..., first:, :])[..., 0] if self.chooses else head(x[..., 0, :])
         if self.numbers:

@@ -135,6 +135,7 @@ def imitation_loss(
         return imitation_loss(kind.choice, logits, choice, deviation) + kind.vector_share(choice) * of_vector
     # A baseline may command beyond the limits, which no squashed action can reach.
     error = kind.mode(logits) - jnp.clip(teacher_action, -1.0, 1.0)
+    # The error of the mode alone leaves the deviation free.
     std_error = kind.create_dist(logits).scale - deviation
     return 0.5 * (error**2 + std_error**2).sum(-1)
 
@@ -180,6 +181,7 @@ with extra("train"):
     import optax
 
 
+# Far beyond every clip range, while e^20 is still small in single precision.
 MAX_LOG_RATIO = 20.0
 MAX_LEARNING_RATE, MIN_LEARNING_RATE = 1e-2, 1e-5
 """Bounds of the learning rate that `adaptive` sets."""
@@ -217,6 +219,7 @@ def surrogate(log_prob: jax.Array, old: jax.Array, advantage: jax.Array, clip: f
     """Return the clipped surrogate objective of actions, which an update maximises."""
     # Cut before the exponential, which overflows from 89 on, and 0 times infinity is NaN in the gradient.
     ratio = jnp.exp(jnp.clip(log_prob - old, -MAX_LOG_RATIO, MAX_LOG_RATIO))
+    # The smaller one: beyond the range nothing is gained, but a change for the worse is still corrected.
     return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - clip, 1.0 + clip) * advantage)
 
 
@@ -323,8 +326,10 @@ def loss(
             "clipped": (jnp.abs(ratio - 1.0) > config.clip_epsilon).astype(jnp.float32),
             "weight": jnp.ones_like(ratio),
         }
+        # Known when it is traced: without a teacher no loss of imitation is compiled.
         if steps.teacher_action:
             terms["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
+            # One program serves both phases: the iteration is traced.
             terms["policy"] = jnp.where(imitating, terms["imitation"], terms["policy"])
         for name, one in _sums_of(terms, steps.valid(g)).items():
             sums[name] = sums.get(name, jnp.float32(0)) + one
@@ -415,6 +420,7 @@ def run_epochs(
         # Adam's moments, too: NaN in them would last for ever.
         updated = jax.tree.map(lambda after, before: jnp.where(finite, after, before), updated, state)
         if config.lr_schedule == "adaptive":
+            # Not during imitation, which means to change the policy far in a step.
             rate = _adapt(state.learning_rate, stats["divergence"], config)
             updated = updated.replace(
                 learning_rate=jnp.where(networks.is_imitating(state, config), state.learning_rate, rate)
@@ -473,6 +479,7 @@ def _adapt(rate: jax.Array, divergence: jax.Array, config: Config) -> jax.Array:
     # The rule of RSL-RL (Rudin et al. 2022): factor 1.5 outside of half to twice the target.
     slower = jnp.where(divergence > 2.0 * config.target_kl, rate / 1.5, rate)
     faster = jnp.where(divergence < 0.5 * config.target_kl, rate * 1.5, slower)
+    # A divergence that is not finite says nothing of the length of a step.
     return jnp.clip(jnp.where(jnp.isfinite(divergence), faster, rate), MIN_LEARNING_RATE, MAX_LEARNING_RATE)
 
 
@@ -528,6 +535,7 @@ def update(
     stats = {f"loss/{name}": one for name, one in stats.items()}
     stats["loss/explained"] = _explained_variance(steps, returns, valid_robots)
     stats["loss/rate"] = train_state.learning_rate
+    # Summed over the processes: results of the update are declared the same in all of them.
     totals = {name: jax.lax.psum(one.sum(), PROCESS_AXIS) for name, one in sums.items()}
     now = train_state.iteration + 1
     if train_state.league is not None:

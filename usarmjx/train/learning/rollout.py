@@ -45,6 +45,7 @@ def _learners(alive: GroupArrays, decision: Decision) -> GroupArrays:
     """Return the agents that are alive and, in a league, play for the policy; () if all do."""
     if decision.match is None:
         return alive
+    # One group: `Rivals` refuses a league of more.
     learns = (decision.match.learns,)
     return tuple(a & b for a, b in zip(alive, learns, strict=True)) if alive else learns
 
@@ -119,6 +120,7 @@ class Rollout:
         program_cache: ProgramCache | None = None,
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
+        # Environments of one's own need no task.
         self._turn_length: int = getattr(getattr(env, "task", None), "turn_length", 0)
         if self._turn_length % config.action_repeat:
             raise UsageError(
@@ -168,11 +170,13 @@ class Rollout:
         return RolloutState(
             env_state=env,
             world_index=number,
+            # One carry starts both: the critic's memory is as wide as the policy's.
             policy_carry=carry,
             critic_carry=carry,
             teacher_carry=() if self.teacher is None else self.teacher.initial_carry(self.env.worlds),
             episode_return=jnp.zeros(self.env.worlds),
             is_first=jnp.ones(self.env.worlds, bool),
+            # Any player: the first step draws another, as all episodes begin with it.
             opponent=None if self.rivals is None else jnp.zeros(self.env.worlds, jnp.int32),
         )
 
@@ -186,6 +190,7 @@ class Rollout:
     def _initial_carry(self, key: jax.Array) -> tuple[jax.Array, jax.Array, GroupArrays]:
         """Return the worlds' numbers, the offsets of their first episodes, and the carry."""
         number = self.first + jnp.arange(self.worlds)
+        # By the worlds' numbers: offsets do not depend on the processes that share the worlds.
         keys = fold_each(key, number)
 
         def draw(key: jax.Array) -> jax.Array:
@@ -270,6 +275,7 @@ class Rollout:
         self, train_state: TrainState, obs: GroupArrays, privileged: jax.Array, carry: GroupArrays
     ) -> tuple[GroupArrays, GroupArrays]:
         obs_sequence = tuple(one[None] for one in obs)
+        # The carry is reset between steps: nothing is left to reset within this one.
         is_first = (jnp.zeros((1, len(privileged)), bool),) * len(obs)
         value, after = critic_values(
             self.networks, train_state, (obs_sequence, privileged[None]), carry, is_first
@@ -300,6 +306,7 @@ class Rollout:
         # Few steps truncate an episode: only then the critic runs a second time.
         bootstrap = jax.lax.cond(
             self._any(truncated),
+            # The state before the reset, with the carry of its episode: the value as if that went on.
             lambda: self._value(train_state, after.final_obs, after.final_privileged, decision.critic_carry)[
                 0
             ],
@@ -316,6 +323,7 @@ class Rollout:
             raw_action=decision.raw_action,
             log_prob=decision.log_prob,
             value=decision.value,
+            # Scaled for the learner only: the return in the log is in the task's own unit.
             reward=tuple(one * self.config.reward_scale for one in reward),
             bootstrap_value=bootstrap,
             is_first=is_first,
@@ -395,6 +403,7 @@ class Rollout:
         before = step_view(state.env_state)
         carry = (state.policy_carry, state.critic_carry, state.teacher_carry)
         background = Background(
+            # Only a teacher reads the task's memory: without one it is no input of the compiled program.
             memory=() if self.teacher is None else state.env_state.memory,
             opponent=state.opponent,
             is_first=state.is_first,
@@ -441,6 +450,7 @@ class Rollout:
             return after
         if self.env.traceable:
             return jax.lax.fori_loop(0, repeats, again, after)
+        # An engine on the host cannot be traced: its steps are called one by one.
         for number in range(repeats):
             after = again(number, after)
         return after

@@ -568,6 +568,7 @@ def check_ahead(trainer: Trainer, checkpoints: Checkpoints) -> None:
 
 def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
     if process_group.index == 0:
+        # Under the lock of the run: no live trainer is writing these.
         for left in out.glob(f".*{PARTIAL_MARK}-*"):  # by a trainer that was killed
             left.unlink()
         record.save(out)
@@ -577,6 +578,7 @@ def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
 def _restore(
     trainer: Trainer, checkpoints: Checkpoints, source: TrainedNetworks | None
 ) -> tuple[TrainState, RolloutState, int]:
+    # Needed to resume, too: a checkpoint is read into trees of these shapes.
     train_state, worlds = trainer.start()
     if source is not None:
         train_state = trainer.process_group.device_put(source.begin(train_state, trainer.config))
@@ -591,6 +593,7 @@ def _restore(
         raise UsageError(
             f"{checkpoints.run} is one of {meta[SET]} seeds that train together: resume the folder above it"
         )
+    # Worlds are stored by process: another number of processes would have to divide them anew.
     if meta["processes"] != trainer.process_group.count:
         raise UsageError(
             f"{path} is of {meta['processes']} processes, these are {trainer.process_group.count}"

@@ -76,6 +76,7 @@ class Trajectory(PyTreeNode, kw_only=True):
             return self.is_first
         # That of an agent that was not alive in the step before, or is not, as in the rollout.
         through = self.alive[group][:-1] & self.alive[group][1:]
+        # Before the first step nothing: the rollout hands over a carry that is reset already.
         gaps = jnp.concatenate([jnp.zeros_like(through[:1]), ~through])
         return self.is_first[..., None] | gaps
 

@@ -175,6 +175,7 @@ def update_from_scan(
         return maps.update_evidence(old, free, wall & ~robot)
 
     drawn = jax.vmap(one)(evidence, scan.poses, scan.ranges, mates, heard)
+    # Evidence counts scans: an old reading that is seen again must not count twice.
     drawn = jnp.where(scan.fresh[:, None, None], drawn, evidence)
     return belief.replace(
         evidence=set_rows(belief.evidence, (scan.slots, drawn)),
@@ -250,6 +251,8 @@ def _read_headers(
         return jnp.max(jnp.where(which, place, -1), -1, initial=-1)
 
     ago = last(same)
+    # An index of -1 reads the last message, which this discards: the sender's one before came in an earlier
+    # box.
     until_then = jnp.where(ago < 0, heard[sender], time[ago])
     # A message that did not come breaks the link: what was sent in between was not received.
     # One and a half periods: one message may be late by rounding, none may be missing.
@@ -260,6 +263,7 @@ def _read_headers(
     # The margin is of single precision: times of some thousand seconds are exact to a tenth of that.
     known = jnp.where(there & (passed_on >= begun - 1e-3), passed_on, -jnp.inf)
     newest = last(there & (sender == robots[:, None]))
+    # An index of -1 reads the last message: this mask discards it below.
     news = newest >= 0
     return (
         jnp.where(news[:, None] & (told[newest] != ABSENT), told[newest], mates),
@@ -271,6 +275,7 @@ def _read_headers(
 
 def update_base_contact(belief: Belief, linked: Array, base: int, time: Array) -> Belief:
     """Return the belief of robots that see which links of theirs hold (robots, robots)."""
+    # A base needs no radio to know its own beliefs.
     direct = linked[:, base] | (jnp.arange(linked.shape[0]) == base)
     return belief.replace(base_contact_time=jnp.where(direct, time, belief.base_contact_time))
 

@@ -24,6 +24,7 @@ SLANT = np.float32(math.sqrt(2))
 
 def _entered(before: jax.Array, row: jax.Array, enter: jax.Array) -> jax.Array:
     """Return a row (squares, maps) after steps from the row before it, straight and slanting ones."""
+    # Infinite, so that no slanting step comes from beyond the map's edge.
     beside = jnp.full((1, before.shape[1]), jnp.inf)
     slanting = jnp.minimum(jnp.concatenate([before[1:], beside]), jnp.concatenate([beside, before[:-1]]))
     return jnp.minimum(row, jnp.minimum(before + 1.0, slanting + SLANT) + enter)
@@ -77,6 +78,7 @@ def _of_all(start: jax.Array, enter: jax.Array, until: jax.Array) -> jax.Array:
     def some(maps: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         return _sweeps(*maps)
 
+    # Group after group: each stays in the cache, and waits only for its own slowest map.
     far = jax.lax.map(some, tuple(map(grouped, (start, enter, until))))
     return jnp.moveaxis(far, -1, 1).reshape(-1, *start.shape[1:])[:count]
 

@@ -75,6 +75,7 @@ class MapGrid:
 
     def index(self, position: Array) -> jax.Array:
         """Return the square that positions [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""
+        # Middles of squares lie at whole steps from `low`: rounding finds the square, not flooring.
         steps = jnp.round((jnp.asarray(position) - np.array(self.low, np.float32)) / self.cell)
         return jnp.clip(steps.astype(jnp.int32), 0, np.array(self.shape) - 1)
 
@@ -94,6 +95,7 @@ def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
     if cell <= 0:
         raise UsageError(f"squares of {cell} m, expected a side above 0")
     extents = np.array([arena.extent for arena in arenas])  # (arenas, x or y, low or high)
+    # One grid for all arenas: worlds with different ones share the shapes of their maps.
     low, high = extents[..., 0].min(0), extents[..., 1].max(0)
     # Both borders count: from 0 to 1.2 m by 0.3 m there are five middles.
     counts = np.rint((high - low) / cell) + 1
@@ -133,6 +135,7 @@ def classify_scan(
     x, y = jnp.asarray(grid.centres[:, 0, 0])[rows], jnp.asarray(grid.centres[0, :, 1])[columns]
     near = jnp.stack(jnp.meshgrid(x, y, indexing="ij"), -1)
     free, wall = _classify_squares(grid, near, scanner, pose, ranges)
+    # Both masks as one array of small integers, so that the window is placed in the map once.
     found = jnp.where(free, FREE, jnp.where(wall, WALL, UNKNOWN)).astype(jnp.uint8)
     found = _placed(materialize(found), corner, grid.shape)
     return found == FREE, found == WALL
@@ -167,6 +170,7 @@ def _classify_squares(
         seen, second = jnp.ones(place.shape, bool), jnp.mod(first + 1, beams)
     else:
         first = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, max(beams - 2, 0))
+        # Each beam stands for half a step on either side, the outermost ones too.
         seen, second = (place > -0.5) & (place < beams - 0.5), jnp.minimum(first + 1, beams - 1)
     one, two = ranges[first], ranges[second]
     share = jnp.clip(place - first, 0.0, 1.0) * step
@@ -180,6 +184,7 @@ def _classify_squares(
     smooth = (apart < MAX_SURFACE_GAP) & (jnp.maximum(one, two) < scanner.max_range)
     near = jnp.where(place - first < 0.5, one, two)
     end, half = jnp.where(smooth, flat, near), grid.cell / 2
+    # A beam at full range met nothing: its end is no wall.
     wall = seen & (end < scanner.max_range) & (jnp.abs(distance - end) <= half)
     free = seen & (distance < jnp.where(smooth, flat, jnp.minimum(one, two)) - half)
     # A robot stands there itself, so no wall does.
@@ -194,6 +199,7 @@ def update_evidence(evidence: Array, free: Array, wall: Array) -> jax.Array:
     """
     # Signed before the difference: unsigned ones would wrap around.
     change = jnp.asarray(wall, jnp.int8) - jnp.asarray(free, jnp.int8)
+    # Bounded, so that a few scans undo evidence of any age.
     return jnp.clip(evidence + change, -MAX_EVIDENCE, MAX_EVIDENCE).astype(jnp.int8)
 
 
@@ -302,6 +308,7 @@ def points_around(pose: Array, width: int, spacing: float) -> jax.Array:
         width: Points along a side.
         spacing: Between two points [m].
     """
+    # Less half the width: the robot is in the middle for odd and even widths alike.
     line = (np.arange(width) - (width - 1) / 2) * spacing
     ahead, aside = np.meshgrid(line, line, indexing="ij")
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
@@ -320,6 +327,7 @@ def egocentric_map(grid: MapGrid, squares: Array, pose: Array, width: int, spaci
     """
     position = points_around(pose, width, spacing)
     steps = jnp.round((position - np.array(grid.low, np.float32)) / grid.cell).astype(jnp.int32)
+    # Tested before `index` clips, which would repeat the squares at the map's edge beyond it.
     inside = ((steps >= 0) & (steps < np.array(grid.shape))).all(-1)
     there = grid.index(position)
     return jnp.where(inside, squares[there[..., 0], there[..., 1]], WALL)

@@ -62,6 +62,7 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
     on_warp = warp_in_use()
     if jax.default_backend() == "gpu" and not on_warp:
         return spread_distances(start, open_, toll, until)
+    # An infinite cost closes a square: sweeps and kernels need no second array for it.
     enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
     enter = jnp.broadcast_to(enter, start.shape)
     if on_warp:
@@ -80,6 +81,7 @@ def spread_distances(start: jax.Array, open_: Array, toll: ArrayLike, until: Arr
         # One after the other, not stacked: they melt into one loop over the squares, seven times as fast.
         ways = [shifted(far, step, UNREACHABLE) + cost for step, cost in zip(NEIGHBOURS, costs, strict=True)]
         reached = reduce(jnp.minimum, ways) + toll
+        # Closed squares keep their own value: a way may begin in one.
         nearer = jnp.where(open_, jnp.minimum(far, reached), far)
         return count + 1, nearer, (nearer < far).any()
 
