@@ -147,6 +147,7 @@ def stack_actions(
         UsageError: A robot without an action, an action without a robot, or one of another size.
     """
     known = [one.name for one in agents_of(env) if acting is None or one.name in acting]
+    # Both ways: a misspelt name is unknown, and that of a robot is missing.
     wrong = sorted({*known} ^ {*actions})
     if wrong:
         raise UsageError(f"an action for each of {', '.join(known)}; missing or unknown: {', '.join(wrong)}")

@@ -197,6 +197,7 @@ def evaluate_step(
         final_score=jnp.where(done, score, state.final_score),
         length=length,
         bad=bad,
+        # A loop over steps must keep its types, and the blank state has metrics of this one.
         metrics={name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()},
         alive=alive,
         final_alive=alive,

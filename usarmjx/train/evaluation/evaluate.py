@@ -118,6 +118,7 @@ def play_episodes(
         step, length = step + 1, length + 1
         tell(f"seed {seed}: {np.minimum(ended, each).sum()} of {each * env.worlds} episodes, step {step}")
         done = np.asarray(state.done)
+        # Scores and arenas leave the device only when an episode has ended.
         if not done.any():
             continue
         # New episodes begin without memory, as in training.

@@ -329,7 +329,6 @@ def loss(
         # Known when it is traced: without a teacher no loss of imitation is compiled.
         if steps.teacher_action:
             terms["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
-            # One program serves both phases: the iteration is traced.
             terms["policy"] = jnp.where(imitating, terms["imitation"], terms["policy"])
         for name, one in _sums_of(terms, steps.valid(g)).items():
             sums[name] = sums.get(name, jnp.float32(0)) + one
@@ -535,7 +534,6 @@ def update(
     stats = {f"loss/{name}": one for name, one in stats.items()}
     stats["loss/explained"] = _explained_variance(steps, returns, valid_robots)
     stats["loss/rate"] = train_state.learning_rate
-    # Summed over the processes: results of the update are declared the same in all of them.
     totals = {name: jax.lax.psum(one.sum(), PROCESS_AXIS) for name, one in sums.items()}
     now = train_state.iteration + 1
     if train_state.league is not None:

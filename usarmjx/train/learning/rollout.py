@@ -306,7 +306,6 @@ class Rollout:
         # Few steps truncate an episode: only then the critic runs a second time.
         bootstrap = jax.lax.cond(
             self._any(truncated),
-            # The state before the reset, with the carry of its episode: the value as if that went on.
             lambda: self._value(train_state, after.final_obs, after.final_privileged, decision.critic_carry)[
                 0
             ],
@@ -323,7 +322,6 @@ class Rollout:
             raw_action=decision.raw_action,
             log_prob=decision.log_prob,
             value=decision.value,
-            # Scaled for the learner only: the return in the log is in the task's own unit.
             reward=tuple(one * self.config.reward_scale for one in reward),
             bootstrap_value=bootstrap,
             is_first=is_first,

@@ -119,10 +119,12 @@ def plan_paths(
         return belief
     known = materialize(belief)  # else sums over these maps, for a score, become part of the planner's kernel
     flyers, visited = settings.flyers[planners, None, None], get_rows(known.visited, planners)
+    # Robots that fly pass over walls.
     squares = jnp.where(flyers, FREE, get_rows(known.squares, planners))
     unseen = flyers & (get_rows(known.evidence, planners) == 0)
     given = jnp.full(squares.shape, jnp.nan) if wanted is None else get_rows(wanted, planners)
     ages = jnp.where(heeded >= 0, time - known.heard_time[planners[:, None], heeded], jnp.inf)
+    # An index of -1 reads the last robot, which does not count: its age is infinite.
     mates = known.mate_headers[planners[:, None], heeded]
 
     narrow = jnp.where(jax.vmap(passable)(squares), 0.0, NARROW_FRONTIER_COST)
@@ -272,6 +274,7 @@ def box_sum(values: Array, radius: int) -> jax.Array:
         padding = [(0, 0), (0, 0)]
         # One more in front: a difference of cumulative sums needs the sum before the first square.
         padding[axis] = (radius + 1, radius)
+        # A difference of two running sums costs the same for any radius.
         sums = jnp.cumsum(jnp.pad(total, padding), axis)  # pyright: ignore[reportUnknownMemberType]
         length = total.shape[axis]
         high = jax.lax.slice_in_dim(sums, 2 * radius + 1, 2 * radius + 1 + length, axis=axis)
@@ -372,6 +375,7 @@ def way_to(
 
 def next_on_way(way: Array, position: Array) -> jax.Array:
     """Return the position on a way (n, 2) that a robot at a position (2,) steers for [m] (2,)."""
+    # By position, not by steps since the way was found: robots turn and back up on it.
     nearest = ((way - position) ** 2).sum(-1).argmin()
     return way[jnp.minimum(nearest + WAYPOINT_SQUARES - 1, len(way) - 1)]
 

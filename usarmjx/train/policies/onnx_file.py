@@ -123,6 +123,7 @@ def _add_memory(graph: _Graph, weights: Any, x: str, carry: str) -> str:  # noqa
     own_reset, own_update, own_new = graph.add("Split", recurrent, outputs=3, axis=-1)
     update = graph.add("Sigmoid", graph.add("Add", update, own_update))
     reset = graph.add("Sigmoid", graph.add("Add", reset, own_reset))
+    # As in `networks.recur`: the reset gate scales the product with its bias, not the carry before it.
     biased = graph.add("Add", own_new, graph.constant(weights["recurrent_bias"]))
     new = graph.add("Tanh", graph.add("Add", new, graph.add("Mul", reset, biased)))
     kept = graph.add("Mul", update, carry)
@@ -183,6 +184,7 @@ def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
         sizes = width, group["action_size"] - numbers, numbers
         graph.result(f"{name}.action", group["action_size"], _most_probable(graph, x, seen, sizes))
         return
+    # The other half are deviations, which the most probable action does not need.
     means, _ = graph.add("Split", graph.dense(weights["head"], x), outputs=2, axis=-1)
     graph.result(f"{name}.action", group["action_size"], graph.add("Tanh", means))
 

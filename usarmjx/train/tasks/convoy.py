@@ -273,6 +273,7 @@ class Convoy(Task):
         low, high = self.speeds
         return ConvoyMemory(
             target_speed=jax.random.uniform(key, minval=low, maxval=high),
+            # For the first car all gaps are infinite, and the index of the least would be that of car 0.
             ahead=jnp.where((ahead > 0).any(-1), follows, -1),
             arc_length=along,
             poses=view.sensor(0, "INS"),

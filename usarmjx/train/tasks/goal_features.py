@@ -223,6 +223,7 @@ def chosen_goal(seen: Array, square: float, *, report: bool) -> jax.Array:
     cost += TAKEN_COST * jnp.clip(1 - goals[..., 6] * NEAR_SCALE / TAKEN_RADIUS, 0.0, 1.0)
     is_frontier = np.arange(GOALS) >= 1 + MATES
     cost = jnp.where(valid & is_frontier, cost, jnp.inf)
+    # Goal 0 is the base, which is always valid.
     best = jnp.where(jnp.isfinite(cost).any(-1), cost.argmin(-1), 0)
     if not report:
         return best

@@ -639,6 +639,7 @@ class GoalTeam(TeamTask):
         """Return the bytes that a robot has sent so far, each receiver in range counted: mean ()."""
         agents, extra, working = self.agents(view.scene), memory.extra, self.working(view, memory)
         there = jnp.ones(len(agents)) if working is None else working[agents]
+        # All robots may be out of action: a mean over none would be NaN.
         share = there / jnp.maximum(there.sum(), 1.0)
         if self.parts:
             return (self.message_state(memory).sent[agents] * share).sum()

@@ -122,6 +122,7 @@ def option_count(floats: int) -> int:
 def vector_bytes(floats: int) -> int:
     """Return the size of a message with a vector of some numbers [bytes]."""
     size = POSE_BYTES + floats
+    # A byte more where the size would be that of a message with strips: receivers know the kind by the size.
     return size + (size >= PLAN_BYTES and (size - PLAN_BYTES) % STRIP_BYTES == 0)
 
 
@@ -196,6 +197,7 @@ def compared(state: MessageState, squares: Array, news: str, worth: float) -> Me
         worth: Squares that a square of news counts as.
     """
     there, known = packed_maps(squares)[:, None], state.known
+    # Counted in the packed form: one operation for 12 squares, and no map of a pair is ever unpacked.
     marks = _count(packed_marks(there) & ~packed_marks(known)).sum(-1)
     free = _count(packed_free(there) & ~packed_free(known)).sum(-1)
     # Bits that a merge would change: the number of squares that the other does not have.
@@ -223,6 +225,7 @@ def choices(state: MessageState, allowed: jax.Array, base: int, mates: Mates, bu
     everyone = jnp.ones((robots, 1, robots), bool)
     to = jnp.concatenate([everyone, at_base, near], 1) & allowed[:, None]
     count = to.sum(-1)
+    # The same bytes go to each receiver, so all of them share the budget.
     room = jnp.where(count > 0, budget / jnp.maximum(count, 1), 0.0)
     strip = room >= PLAN_BYTES + STRIP_BYTES
     kinds = [
@@ -333,6 +336,7 @@ def given_option(valid: Array, *, base_first: bool) -> jax.Array:
     """
     to_base = [option(1, MAP)] * base_first
     order = jnp.array([*to_base, option(0, MAP), option(0, PLAN), 0])
+    # The first valid one in the order of preference; silence, the last, is always valid.
     first = (jnp.asarray(valid)[..., order] > 0.5).argmax(-1)
     return order[first]
 
@@ -490,6 +494,7 @@ def decode(data: bytes, numbers: int, floats: int = 0) -> np.ndarray:
         letter[3:5] = head[4:6]
     for at in range(PLAN_BYTES, len(data), STRIP_BYTES):
         index = int.from_bytes(data[at : at + 2], "little")
+        # Bytes come from outside: their indices may lie beyond the map.
         if index >= numbers:
             raise ValueError(f"a strip {index} of a map of {numbers}")
         letter[HEADER_SIZE + index] = int.from_bytes(data[at + 2 : at + STRIP_BYTES], "little")

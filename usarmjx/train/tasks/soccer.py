@@ -337,11 +337,13 @@ class Soccer(Task):
         if self.opponent == "baseline":
             commanded[1] = jax.vmap(soccer_action)(self.observations(view, memory)[2:])
         elif self.opponent == "random":
+            # By the world's own key: its game is the same alone as in a batch.
             commanded[1] = jax.random.uniform(view.key, (2, 2), minval=-1.0, maxval=1.0)
         elif self.opponent == "still":
             commanded[1] = jnp.zeros((2, 2))
         drive: dict[int, dict[str, jax.Array]] = {}
         for group, speeds in commanded.items():
+            # Wheels are commanded by their turning rate [rad/s].
             spins = SPEED_SCALE * speeds / view.scene.groups[group].robot.wheel_radius
             drive[group] = {"Left": spins[:, 0], "Right": spins[:, 1]}
         to = jnp.asarray(np.arange(4) == MATES[:, None])
@@ -386,6 +388,7 @@ class Soccer(Task):
         belief, sides = memory.belief, SIDES[:, None]
         goal = jnp.asarray(sides * GOAL)
         pose, robots = belief.pose, len(SIDES)
+        # Half a turn of the field changes the signs of both sine and cosine.
         heading = sides * jnp.stack([jnp.sin(pose[:, 2]), jnp.cos(pose[:, 2])], -1)
         # A velocity turns as a position does that is seen from the origin.
         turned = to_robot_frame(pose.at[:, :2].set(0.0), belief.velocity)

@@ -651,6 +651,7 @@ class TeamTask(Task):
         squares = jnp.where(flyers, swept, belief.squares)
         near = jax.vmap(local_map)(squares, belief.pose)
         near = near.reshape(robots, -1)
+        # `MARK` is above `WALL`: robots keep off victims, too.
         return jnp.concatenate([*rows, near >= WALL, near == UNKNOWN], -1).astype(jnp.float32)
 
     @property

@@ -87,10 +87,12 @@ def mark_squares(grid: MapGrid, pose: jax.Array, met: jax.Array) -> jax.Array:
 def mark_victims(view: TaskView, grid: MapGrid, belief: Belief) -> Belief:
     """Return the belief with marks where the robots' victim sensors met something."""
     for g, group in enumerate(view.scene.groups):
+        # The base has no victim sensor.
         if group.robot.name == BASE_STATION:
             continue
         pose, marks = (get_rows(rows, group.slots) for rows in (belief.pose, belief.marks))
         marked = jax.vmap(partial(mark_squares, grid))(pose, detected_positions(view, g))
+        # An old reading was taken elsewhere: from here it would mark a wrong square.
         marked &= view.is_fresh(g, "VictSensor")[:, None, None]
         belief = belief.replace(marks=set_rows(belief.marks, (group.slots, marks | marked)))
     return belief
@@ -282,6 +284,8 @@ class VictimSearch(TeamTask):
         agents = self.agents(view.scene)
         if not self.varies:
             return linked[agents].mean()
+        # The draw of the start again, from the same key: robots that are lost or still to come count as not
+        # linked.
         team = drawn_team(view.scene, agents, self.least_robots, team_key(view.world))
         return linked[agents].sum() / jnp.maximum(team[agents].sum(), 1)
 
@@ -361,6 +365,7 @@ class VictimSearch(TeamTask):
             fence = fence_of(self.note(view, "extent"))
             ahead = jnp.stack([jnp.cos(pose[:, 5]), jnp.sin(pose[:, 5])], -1)
             limits = [FENCE_GAIN * way_left(pose[:, :2], side * ahead, fence) for side in (-1.0, 1.0)]
+            # Limits that shrink with the way left: the robot slows down before the fence, not at it.
             speed = jnp.clip(speed, -limits[0], limits[1])
         return {
             "AltitudeVelocity": jnp.clip(CLIMB_GAIN * error, -1.0, 1.0),
@@ -390,6 +395,7 @@ class VictimSearch(TeamTask):
         left = (steps - memory.step) / steps  # this step's number is one more
         memory, credit, begun = self.advance(view, memory)
         found = self._found(view, memory)
+        # A world may have fewer victims than its table has rows.
         people = victims_there(view)
         share = (found.reported & people).sum() - (before.reported & people).sum()
         share = share / jnp.maximum(people.sum(), 1)
