@@ -244,6 +244,7 @@ app = typer.Typer(
     epilog="Begin with `usarmjx demo`. `usarmjx COMMAND --help` has the options and an example.",
     no_args_is_help=True,
     context_settings=HELP,
+    # `ErrorExit` prints our own errors in a line; any other is a bug, whose plain traceback is wanted.
     pretty_exceptions_enable=False,
 )
 

@@ -281,6 +281,7 @@ def sample_message(kind: str) -> str:
     (sensor,) = suite_with(kind, SHORT_OPTIONS.get(kind, ())).sensors
     # Zeros in the right number: the message then shows its form at least.
     numbers = SAMPLES.get(kind, np.zeros(max(1, total_size(sensor.quantities))))
+    # In single precision, as sensors deliver their values: rounding shows as on the wire.
     message = sensor_report(sensor, np.array(numbers, np.float32), MESSAGE_TIME)
     return "" if message is None else line_of(message)
 

@@ -73,6 +73,7 @@ class ErrorExit:
         self._warnings.__exit__(None, None, None)
         text = str(error) if isinstance(error, UsarmjxError) else None
         if isinstance(error, OSError) and (reason := disk_error(error)):
+            # An error of a stream that is open, as the standard output, names no file.
             name = str(error.filename or "the output")
             text = f"{name if len(name) <= MAX_QUOTATION else f'{name[:MAX_QUOTATION]}...'}: {reason}"
         # Any other exception is a bug of ours: its traceback is what helps.
@@ -358,6 +359,7 @@ class CompilationWatch:
                 # The new interval begins after the last reported event, even if its tracing began earlier.
                 self._begun, self._next = max(now - duration, self._last), FIRST
             self._last, self._is_over = now, False
+            # Any event of a thread means that its former compilation is over.
             self._compiling.discard(thread)
             if event.endswith(LOWERED):
                 self._compiling.add(thread)
@@ -443,6 +445,7 @@ def _watch(tell: Callable[[str], None], interval: float) -> None:
     """Tell of compilations from the moment on that somebody imports JAX."""
     # This thread must not import JAX itself: the command decides about its settings before.
     while "jax" not in sys.modules:
+        # Polled, as nothing reports an import.
         time.sleep(0.1)
     from jax import monitoring
 

@@ -66,6 +66,7 @@ class DemoGuide:
 
     def tick(self) -> None:
         """The world has made a control step: the robots move."""
+        # Once, as every control step comes here.
         if self._told:
             return
         self._told = True

@@ -54,6 +54,7 @@ PORTS = {
     "--image-port": IMAGE_PORT,
 }
 """The usual ports of `usarmjx serve` by the options that move them."""
+# PEP 508: a name, extras in brackets, versions, and a marker behind a semicolon.
 REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^\]]*\])?([^;]*)(?:;(.*))?")
 EXTRA = re.compile(r"extra\s*==\s*['\"]([^'\"]+)")
 USERS_EXTRAS = ("cuda", "rl", "train", "warp")

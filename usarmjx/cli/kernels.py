@@ -22,6 +22,7 @@ def kernels(
     Two kernels, which compile in two seconds, depend on whether a GPU is here: its first step adds them.
     """
     with ErrorExit():
+        # Before JAX is imported: a class that there is not is refused at once.
         check_roster(roster)
         known = ", ".join(f"{one / 10:.1f}" for one in architectures)
         announce(f"compiling kernels for compute capability {known} ...", engines=("warp",))  # before JAX

@@ -202,6 +202,7 @@ def check_run(run: str) -> None:
         check_name("baseline", value)
         return
     file, own, _ = run.rpartition(".py:")
+    # With {task} in its name there is a file for each task, which is looked for when the task is played.
     if own and "{task}" not in file and not Path(f"{file}.py").is_file():
         raise UsageError(f"{file}.py: there is no such file")
     name = full_name("task", run)

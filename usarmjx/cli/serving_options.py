@@ -326,6 +326,7 @@ class RosOptions:
     @property
     def ports(self) -> dict[str, int]:
         """Its port by its option."""
+        # 0 is for the type only: without a port the service is not wanted, and nobody asks.
         return {"--rosbridge-port": self.rosbridge_port or 0}
 
     def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:

@@ -81,6 +81,7 @@ def with_settings(command: F) -> F:
 
 def _as_command(run: Callable[..., Any], command: F, parameters: list[inspect.Parameter]) -> F:
     """Return a function under a command's name and docstring, with parameters as typer looks for them."""
+    # The name of the command and the text of its help are read from the function.
     run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
     run.__signature__ = inspect.Signature(parameters)  # type: ignore - as inspect looks for it
     # Typer takes the defaults from the signature, but the types from the annotations.

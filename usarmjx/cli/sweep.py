@@ -135,14 +135,12 @@ def run(
 ) -> None:
     """Play the cells of a sweep that have no result yet, and report the results of all."""
     with ErrorExit(), ends_on_signals():
-        # Before the imports, which are part of the cost that a record states.
-        begun = time.perf_counter()
+        begun = time.perf_counter()  # the imports are part of the cost that a record states
         from usarmjx.sweeps.spec import find_spec, load_spec
 
         file = find_spec(what)
         check_file(read_file(file))
-        # Without --engine cells may play on jax, which deadlocks in a small pool of threads.
-        announce(
+        announce(  # without --engine cells may play on jax, which deadlocks in a small pool
             f"reading {what} ...", aloud=not quiet, engines=["jax" if engine is None else tried_on(engine)]
         )
         from usarmjx.sweeps.run import parse_part, play_prepared, prepare, usual_stream

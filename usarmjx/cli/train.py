@@ -381,6 +381,7 @@ def _train_and_show(task: str, options: TrainOptions, shown: _Shown) -> None:
             # One run there, not one for each process.
             project = None if process.index else shown.wandb
             score, stopped = _train(task, options, watchers, project, bar, stop)
+        # One of several processes is enough to say it.
         if process.index == 0:
             typer.echo(score)
         if stopped:

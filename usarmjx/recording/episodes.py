@@ -256,6 +256,7 @@ class BlackBox:
             commanded = env.commanded(state, actions) if going else None
             for box in going:
                 assert commanded is not None
+                # Also after robots have come or gone, when the commands begin anew.
                 if not box.orders:
                     box.start, box.since = self._start(state, box.world)
                 box.orders.append([orders_of(group, box.world) for group in commanded.groups])

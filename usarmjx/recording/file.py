@@ -157,6 +157,7 @@ def topic_of(channel: ChannelName, *, several: bool) -> str:
     """Return the topic of a channel in a file of one world, or of several."""
     where = f"/world{channel.world}" if several else ""
     own = "" if CHANNELS[channel.kind].startswith("foxglove.") else "/usarmjx"
+    # A slash in a robot's name would make another level of the topic.
     parts = "/".join(part.replace("/", "_") for part in (channel.kind, channel.about) if part)
     return f"{where}{own}/{parts}"
 

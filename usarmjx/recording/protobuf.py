@@ -83,6 +83,7 @@ def _stamp(time: int) -> dict[str, int]:
 
 
 def _frame(name: str) -> str:
+    # ROS 1 writes the same frame with a slash in front, or without.
     return f"{BAG}/{name.lstrip('/')}"
 
 
@@ -192,6 +193,7 @@ def write_protobuf(
         import_module("foxglove_schemas_protobuf")
     except ModuleNotFoundError as error:
         raise MissingExtraError(f"{error.name} is not installed: {install_command('foxglove')}") from error
+    # The atomic writer would replace it.
     if path.exists():
         raise UsageError(f"{path} exists already")
     counts: Counter[str] = Counter()

@@ -169,6 +169,7 @@ class ReplayedBatch:
         self._number, self._repeat, self._state = setup.number, setup.repeat, self._batch.reset()
         if setup.start is not None:
             engine, everywhere = self._batch.engine, jnp.ones(setup.worlds, bool)
+            # All worlds start so, as only the recorded one is compared.
             start = jnp.tile(jnp.asarray(setup.start), (setup.worlds, 1))
             self._state = self._state.replace(physics=engine.reset(engine.start(), everywhere, start))
         self._reset_bad = setup.reset_bad
@@ -243,6 +244,7 @@ class ReplayedBatch:
         if not self._reset_bad:
             self._state = batch.run(self._state, self._repeat, reset_bad=False)
             return
+        # As it was recorded: compiled as one, steps are rounded otherwise than one by one.
         self._state = batch.step(self._state) if self._repeat == 1 else batch.run(self._state, self._repeat)
 
     def state(self) -> Mapping[str, np.ndarray]:

@@ -106,6 +106,7 @@ def play_client(cell: Resolved, driver: CellDriver, engine: str) -> CellEpisodes
             "benchmarks/team_over_tcp.py plays it"
         )
     begun, seed = time.perf_counter(), int(cell.settings["seed"])
+    # Here arenas are no data: the worlds are built with them.
     task = cell.task if cell.arenas is None else replace(cell.task, arena=cell.arenas)
     env = build_env(task, cell.episodes, name=cell.settings["task"], engine=engine, seed=seed)
     shared = _Served(env, seed)

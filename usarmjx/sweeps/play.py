@@ -120,6 +120,7 @@ def failure(key: str, settings: CellSettings, reason: str) -> CellRecord:
 def _episodes(work: BatchWork, watch: ShareWatch | None) -> Sequence[CellEpisodes]:
     own = [resolved(settings) for _, settings in work.cells]
     if own[0].driver.command is not None:
+        # Here, as most sweeps have no clients and need no server.
         from usarmjx.sweeps.clients import play_client
 
         return [play_client(cell, cell.driver, work.engine) for cell in own]

@@ -282,7 +282,6 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int,
     # By places in the whole sweep, not among missing cells: parts on several machines must not overlap.
     mine = range((number - 1) * total // count, number * total // count)
     for place, asked in enumerate(spec.cells):
-        # The key has the engine itself: auto may be another one on another machine.
         settings = {**asked, "engine": choose_engine(str(asked["engine"]), "train")}
         one = _identify(settings, digests)
         # Two spellings of the same settings are one cell.

@@ -185,6 +185,7 @@ def commit_here() -> str:
             for more in (("rev-parse", "--short=12", "HEAD"), ("status", "--porcelain", "-uno"))
         ]
     except (OSError, subprocess.SubprocessError):
+        # An installed package is in no repository, and a machine may have no git.
         return "unknown"
     return words[0].strip() + ("+" if words[1].strip() else "")
 

@@ -95,6 +95,7 @@ class CommandLine(Input):
 
     def action_recall(self, step: int) -> None:
         """Bring back a line that was sent."""
+        # One place behind the last line stands for the line that is being typed.
         self._recalled = min(max(self._recalled + step, 0), len(self._sent))
         self._put(self._sent[self._recalled] if self._recalled < len(self._sent) else "")
 
@@ -205,6 +206,7 @@ def branch(message: Message) -> Branch:
 
 def _free(fields: dict[str, str], key: str) -> str:
     """Return a unique key for a segment that may come several times, by numbering it."""
+    # Keys that have a number already count, too.
     count = sum(known.split(" ")[0] == key for known in fields)
     return f"{key} {count + 1}" if count else key
 
@@ -318,6 +320,7 @@ class MessagePanes(Vertical):
     def flush(self) -> None:
         """Write what waits for the pane that is looked at."""
         name = self._tabs.active.removeprefix("pane-")
+        # Before the first layout no pane is active.
         pending = self._pending.get(name)
         while pending:
             self._logs[name].write(pending.popleft())

@@ -117,6 +117,7 @@ class ConsoleClient:
     @property
     def is_connected(self) -> bool:
         """Whether it is connected."""
+        # A writer that closes is still there, but what is written to it is lost.
         return self._writer is not None and not self._writer.is_closing()
 
     async def connect(self) -> None:
@@ -175,6 +176,7 @@ class ConsoleClient:
             try:
                 data = await self._reader.read(READ_SIZE)
             except ConnectionError:
+                # Some servers hang up by a reset of the connection.
                 data = b""
             # At the end, also a last line without its line end.
             for line in lines.feed(data) if data else lines.end():

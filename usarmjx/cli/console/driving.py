@@ -55,6 +55,7 @@ class CameraAim:
         low, high = known.fov_limits.get(name, (0.0, math.pi))
         # By a factor, not by a difference: each step then looks alike at any zoom.
         fov = min(max(known.fovs[name] * ZOOM_FACTOR**steps, low), high)
+        # Taken as done: the next key may come before the answer.
         known.fovs[name] = fov
         return [f"SET {{Type Camera}} {{Name {name}}} {{FOV {fov:.4f}}}"]
 
@@ -64,8 +65,10 @@ class CameraAim:
             along = link_axis(self.knowledge.packages[package], number)[axis]
             if abs(along) < STEEP:
                 continue
+            # A link whose axis points the other way turns the other way.
             step = math.copysign(math.radians(ANGLE_STEP_DEGREES), along) * steps
             low, high = link.limits or (-math.inf, math.inf)
+            # From the last order, not from the reported angle, which lags while the camera turns.
             target = min(max(self.targets.get((package, number), link.value) + step, low), high)
             self.targets[package, number] = target
             return [f"MISPKG {{Name {package}}} {{Link {number}}} {{Value {target:.4f}}} {{Order 0}}"]
@@ -83,6 +86,7 @@ class CameraAim:
 
 def link_axis(links: dict[int, PackageLink], number: int) -> LinkAxis:
     """Return the axis of a link in the robot's frame on the wire, its package at rest."""
+    # A link turns about the z axis of its own frame.
     axis: LinkAxis = (0.0, 0.0, 1.0)
     seen: set[int] = set()
     # Links come from the server: a circle of parents must not hang the console.
@@ -95,6 +99,7 @@ def link_axis(links: dict[int, PackageLink], number: int) -> LinkAxis:
 
 def _rotate(angles: tuple[float, ...], vector: LinkAxis) -> LinkAxis:
     """Return a vector turned by roll, pitch and yaw [rad], in this order about the fixed axes."""
+    # A server may report fewer than three angles.
     roll, pitch, yaw = (*angles, 0.0, 0.0, 0.0)[:3]
     x, y, z = vector
     y, z = y * math.cos(roll) - z * math.sin(roll), y * math.sin(roll) + z * math.cos(roll)

@@ -196,6 +196,7 @@ class Knowledge:
         return []
 
     def _add(self, kind: str, name: str) -> None:
+        # Types count alike in any case: the spelling that came first stays.
         known = next((one for one in self.items if one.lower() == kind.lower()), kind)
         if name not in self.items.setdefault(known, []):
             self.items[known].append(name)
@@ -235,6 +236,7 @@ class Knowledge:
                 links = self.packages.setdefault(name, {})
                 for number, fields in _by_link(segments):
                     link = links.setdefault(number, PackageLink())
+                    # By way of a float, as numbers of links may come with decimals.
                     link.parent = int(to_float(fields.get("parentlink", "-1")))
                     link.orientation = to_vector(fields.get("orientation", "0,0,0"))
         else:
@@ -321,6 +323,7 @@ class Completer:
         """Return the lines that a line may become by its next word, the likeliest first."""
         head, space, rest = text.partition(" ")
         if not space:
+            # A head without keys is a whole line, so no blank waits for one.
             return [found if found in BARE_HEADS else f"{found} " for found in _fitting(self._heads, head)]
         head = head.upper()
         _, brace, inside = rest.rpartition("{")
