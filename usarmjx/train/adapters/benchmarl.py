@@ -47,8 +47,10 @@ class BenchmarlTask(TaskClass):
 
     def _worlds_settings(self) -> tuple[str, int, dict[str, Any]]:
         """Return the engine, the values of discrete actions, and the overrides of the task."""
+        # A copy: two names are taken out, which BenchMARL keeps in its own.
         fields = dict(self.config)
         engine, bins = fields.pop("engine", "auto"), fields.pop("bins", BINS)
+        # Made only to be checked: the worlds make their own.
         make_task(self._task, **fields)
         return engine, bins, fields
 

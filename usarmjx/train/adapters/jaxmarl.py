@@ -136,6 +136,7 @@ class MultiAgentWorld(MultiAgentEnv):
         done = state.done[0]
         dones = {**dict.fromkeys(self.agents, done), "__all__": done}
         if state.alive is not None:
+            # An agent that has dropped out is done, though its world goes on.
             dones |= {name: done | ~one for name, one in by_agent(self.env, state.alive).items()}
         rewards = by_agent(self.env, state.reward)
         if self._smax:
@@ -143,6 +144,7 @@ class MultiAgentWorld(MultiAgentEnv):
         infos = {
             **state.metrics,
             "score": state.score,
+            # A fault says nothing about the task, so it cuts the episode off.
             "truncated": state.truncated | state.bad,
             "bad": state.bad,
         }

@@ -146,6 +146,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         )
         s = jax.device_get(self._state.task_state.replace(memory=()))
         done, bad = bool(s.done[0]), bool(s.bad[0])
+        # A fault says nothing about the task, so it cuts off: learners go on with the expected return.
         truncated = bool(s.truncated[0]) or bad
         info = {name: float(value[0]) for name, value in s.metrics.items()}
         info |= {"score": float((s.final_score if done else s.score)[0]), "bad": bad}
@@ -154,6 +155,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         # PettingZoo wants the last step of those who leave, and a first one of those who join.
         agents = [*self.agents, *(name for name in left if name not in self.agents)]
         rewards = by_agent(self.env, s.reward)
+        # For PettingZoo an episode is over once there are no agents.
         self.agents = [] if done else left
         return (
             _copies(by_agent(self.env, s.final_obs), agents),
@@ -179,4 +181,5 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
 
 
 def _copies(values: Values, agents: list[str]) -> Values:
+    # Arrays that come from a device cannot be written to, and are views of one that all agents share.
     return {name: np.array(values[name], np.float32) for name in agents}

@@ -370,6 +370,7 @@ class Env:
         together = restart_batch_size(worlds, task.episode_steps)
         self._restart_some = self._compile(partial(restart_subset, self.scene, task, together))
         self._library = self._compile(self._library_at)
+        # As they are for engines on the host, which cannot be traced; their inner parts are compiled above.
         self._step_program, self._restart = self._step, self._restart_where
         self._advance_program = self._advance
         if self.traceable:
@@ -694,6 +695,7 @@ class Env:
 
     def _restart_where(self, state: EnvState, where: Array) -> EnvState:
         """Begin the next episode in some worlds (worlds,), a fixed number of them at a time."""
+        # Most steps end no episode: an engine on the host can look, and leave the restart out.
         if not self.traceable and not np.asarray(where).any():
             return state
         batch = state.batch

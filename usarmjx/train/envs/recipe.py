@@ -300,6 +300,7 @@ def resolve_arenas(arenas: Arenas, robot: str, robots: int = 1) -> Arenas:
 @cache
 def floor_for(robots: int) -> ArenaSpec:
     """Return the empty floor, or a larger one if so many robots would overlap."""
+    # One floor for all teams that have room on it: start poses do not depend on their size.
     if robots * FLOOR_ROOM <= FLOOR_SIDE**2:
         return open_floor()
     return open_floor(side=round(math.sqrt(robots * FLOOR_ROOM), 3), starts=robots)

@@ -98,6 +98,7 @@ def task_gap(
                 seed=seeds[0],
                 split=split or sources[0].usual_split(),
             )
+        # A cell of the table, not its end: other engines can run the task.
         except UnsupportedFeatureError as refused:
             tell(f"{name}: {refused}")
             return "refused"

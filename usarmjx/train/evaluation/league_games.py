@@ -71,6 +71,7 @@ def against(own: Policy, other: Policy, rivals: np.ndarray) -> Policy:
 
     def act(carry: Carry, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Carry, tuple[jax.Array, ...]]:
         mine, (actions,) = own.act(carry[0], obs, key)
+        # Both act for all agents, as their networks have the shapes of the whole group.
         theirs, (others,) = other.act(carry[1], obs, key)
         return (mine, theirs), (actions.at[:, rivals].set(others[:, rivals]),)
 

@@ -184,6 +184,7 @@ def check_results(rows: Sequence[VariantResult]) -> dict[str, bool]:
     """Return what of the check holds: see the module."""
     perfect, real, none = (next(row for row in rows if row.name == name) for name in VARIANTS)
     return {
+        # The intervals must be apart, too: a gain of the means alone may be chance.
         "a perfect radio is worth it": perfect.score.mean >= (1 + GAIN) * real.score.mean
         and perfect.score.low > real.score.high,
         "no messages cost it": none.score.mean <= (1 - GAIN) * real.score.mean

@@ -163,6 +163,7 @@ class Rivals:
         opponent = jnp.where(is_first, drawn, opponent)
         itself = opponent == league.size + 2
         agents = len(self.rows) + len(self.team)
+        # Actions of others are not drawn from the policy: their ratio of probabilities means nothing to PPO.
         learns = jnp.ones((len(opponent), agents), bool).at[:, self.rows].set(itself[:, None])
         return Match(opponent=opponent, learns=learns)
 
@@ -193,6 +194,7 @@ class Rivals:
         # Baseline, idle rivals and the policy itself are beyond the pool; their rows are replaced below.
         place = jnp.minimum(match.opponent, league.size - 1)
         theirs = past[place, jnp.arange(len(place))]
+        # Without a carry: the constructor refuses a baseline that has one.
         by_hand = self._baseline.act((), (seen,), key)[1][0]
         # The trajectory holds actions before tanh; its inverse is infinite at 1, hence the limit.
         by_hand = jnp.arctanh(jnp.clip(by_hand, -LARGEST_ACTION, LARGEST_ACTION))
@@ -322,6 +324,7 @@ def standings(league: League) -> list[Standing]:
     for place in np.flatnonzero(known.since >= 0).tolist():
         name = f"after {known.since[place]}"
         rows.append(Standing(name, float(known.ratings[place]), *results[place], place=place))
+    # Idle rivals are not rated, and come last.
     return sorted(rows, key=lambda row: -row.rating if row.rating is not None else float("inf"))
 
 

@@ -113,6 +113,7 @@ def read_lines(file: Path) -> list[dict[str, Any]]:
     for place, record in records:
         for name in REQUIRED:
             value = record.get(name)
+            # A bool is an int in Python, but no number of a record.
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
                 raise UsageError(f"{place}: {name} is {shown(value)}, expected a number above 0")
         score = record.get("score", "missing")
@@ -219,6 +220,7 @@ class MetricsLog:
         latest = {name: self._shown.get(name, math.nan) for name in names}
         text = "{steps_per_s:,.0f} steps/s  return {return:.3g}  score {score:.3g}  bad worlds {bad:.2%}"
         with suppress(OSError):
+            # The bar may go to a file on a full disk, which must not end the training.
             self._bar.update(self._task, completed=iteration, description=text.format(**latest))
         if self._line_log is not None:
             self._line_log(f"{iteration}/{self._total} iterations  {text.format(**latest)}")

@@ -102,6 +102,7 @@ def init_statistics(*shape: int) -> Statistics:
     return Statistics(
         running=RunningStatistics(
             mean=zeros,
+            # 1, as observations are divided by it before the first update.
             std=jnp.ones(shape),
             count=Count(hi=zero, lo=zero),
             summed_variance=zeros,
@@ -228,6 +229,7 @@ class SetNetwork(nn.Module):
         own = dense(width, "own")(_rows(seen, layout.own_span)[..., 0, :])
         own = with_team_terms(self, own, shared, self.robots, dense(width, "shared", bias=False))
         if self.sees:
+            # Without a bias: it is added to a layer that has one.
             own = own + dense(width, "view", bias=False)(self._view(seen))
         kinds = param(self, "kinds", nn.initializers.normal(0.1), (max(layout.kinds) + 1, width))
         choices = dense(width, "choices")(choices) + kinds[np.array(layout.kinds)]

@@ -47,12 +47,14 @@ def run_lock(run: Path) -> Generator[None]:
         file = path.open("a+")
     with file:
         if not _lock(file.fileno()):
+            # A file that was opened for appending is at its end.
             file.seek(0)
             who = file.read().strip() or "another process"
             raise UsageError(f"{who} trains in {run}: wait for its end, or choose another folder")
         with writing(path):
             file.truncate(0)
             file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+            # At once: a second trainer reads the name while this one holds the lock.
             file.flush()
         # The lock ends when the file is closed, after the body.
         yield
@@ -118,6 +120,7 @@ def distributed_run() -> Generator[ProcessInfo, None, None]:
         UsageError: See `initialize`.
     """
     info = initialize()
+    # A daemon: the end of the process does not wait for the devices.
     threading.Thread(target=_start_devices, name="devices", daemon=True).start()
     try:
         yield info
@@ -129,6 +132,7 @@ def distributed_run() -> Generator[ProcessInfo, None, None]:
             sys.stderr.write(f"usarmjx: {error}\n")
         else:
             traceback.print_exc()
+        # The exit below flushes nothing.
         sys.stderr.flush()
         # `sys.exit` would run JAX's exit handlers, which wait for the other processes.
         os._exit(2 if ours else 1)

@@ -184,6 +184,7 @@ class SeedRollout(Rollout):
     ) -> tuple[Trajectory, tuple[GroupArrays, GroupArrays, Carry], jax.Array, dict[str, jax.Array]]:
         mapped = self._mapped(super()._record_step, train_state)
         *rows, sums = mapped(train_state, *self._split((episode, decision, before, after)))
+        # Sums keep their axis over seeds: each has a log of its own.
         step, carry, episode_return = join_worlds(tuple(rows))
         return step, carry, episode_return, sums
 
@@ -215,6 +216,7 @@ class SeedTrainer(Trainer):
         process_group: ProcessGroup,
         seeds: tuple[int, ...],
     ) -> None:
+        # First: the base class counts worlds by the runs, and makes the rollout of these seeds.
         self.seeds, self.runs = seeds, len(seeds)
         super().__init__(env, config, process_group)
         # One key for each seed, all folded by the same number.

@@ -53,6 +53,7 @@ def no_vectors(robots: int, size: int) -> VectorState:
 
 def quantised(numbers: Array) -> jax.Array:
     """Return numbers from -1 to 1 (...) in steps, as they are sent."""
+    # Whole steps in the simulator, too: a receiver gets the same numbers over a wire of bytes.
     return jnp.round(LEVELS * jnp.clip(jnp.asarray(numbers), -1.0, 1.0))
 
 
@@ -66,6 +67,7 @@ def heard_vectors(state: VectorState, mail: Inboxes) -> VectorState:
     theirs = there[:, None] & (mail.sender[:, None] == np.arange(robots)[:, None])
     # Boxes hold the oldest first: the highest place is the last letter.
     last = jnp.max(jnp.where(theirs, np.arange(capacity), -1), -1, initial=-1)
+    # Place 0 where no vector came: its contents are masked below.
     rows, place = np.arange(robots)[:, None], jnp.maximum(last, 0)
     return state.replace(
         heard=jnp.where((last >= 0)[..., None], numbers[rows, place], state.heard),

@@ -43,6 +43,7 @@ def oracle_obs(
         obs: The robots' observations, per group (robots, n).
     """
     beyond = jnp.minimum(way_beyond(task, scene, memory), LONGEST_SEEN * LENGTH_SCALE) / LENGTH_SCALE
+    # The base and the others are goals themselves: nothing lies beyond them.
     beyond = jnp.where(np.arange(GOALS) >= 1 + MATES, beyond, 0.0)
     news = true_news(task, scene, memory) / NEWS_SCALE
     rows = zip(obs, task.per_group(scene, beyond), task.per_group(scene, news), strict=True)

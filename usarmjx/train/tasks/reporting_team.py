@@ -290,11 +290,13 @@ class SearchBase(ReportingTeam):
     def ways(self, scene: Scene, known: KnownMaps, goal: jax.Array) -> jax.Array:
         """As `GoalTeam`; behind the place of a victim an oracle's way leads to the victim: it turns there."""
         way = super().ways(scene, known, goal)
+        # Without victims there is no nearest one: the least of no gaps is an error.
         if isinstance(known.sights, tuple) or not len(known.sights):
             return way
         gap = jnp.linalg.norm(goal[:, None] - known.sights, axis=-1)
         victim = known.sights[gap.argmin(-1)]
         there = jnp.linalg.norm(way - goal[:, None], axis=-1) < self.cell / 2
+        # All but the first square at the place: the robot gets there before it turns.
         behind = there & jnp.roll(there, 1, -1).at[:, 0].set(False)
         looks = (gap.min(-1) < LOOK_RANGE)[:, None] & behind
         return jnp.where(looks[..., None], victim[:, None], way)

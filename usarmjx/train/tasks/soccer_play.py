@@ -77,6 +77,7 @@ def soccer_action(seen: jax.Array) -> jax.Array:
     away = POSITION_SCALE * seen[8:10]
     # The ball rolls on while the robot drives: it aims at where they meet.
     soon = jnp.clip(jnp.linalg.norm(away) - TOUCH, LEAD[0], LEAD[1])
+    # Extrapolated without bounces, the ball might lie beyond the boards.
     ball = _inside(position + turn @ (away + soon * seen[10:12]), BALL_RADIUS)
     mate = position + turn @ (POSITION_SCALE * seen[13:15])
     known, heard = seen[12] < FORGOTTEN, seen[15] < FORGOTTEN

@@ -243,6 +243,7 @@ class TeamMind:
 
 
 def _reading(value: np.ndarray) -> Reading:
+    # A report holds what was read for it: nothing is left from an earlier scan.
     return Reading(value=jnp.asarray(value), fresh=jnp.ones(len(value), bool))
 
 

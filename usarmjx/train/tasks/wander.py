@@ -110,6 +110,7 @@ class Wander(Task):
             memory=WanderMemory(visited=visited),
             reward=((new - self.price * touched)[None],),
             terminated=touched,
+            # The square of the start is no merit.
             score=visited.sum() - 1.0,
             metrics={"touched": touched, "clearance": near},
         )
