@@ -263,6 +263,7 @@ def _steps_per_action(name: str, task: Task, physics: Physics) -> int:
     """Return the number of control steps of some physics that last as long as an action of a task."""
     lasts = task.repeat * task.physics_settings.period
     steps = round(lasts / physics.period)
+    # Periods are decimal fractions: their multiples are off by rounding.
     if not math.isclose(steps * physics.period, lasts, rel_tol=1e-6):
         raise UsageError(
             f"an action of {name} lasts {lasts:g} s, which is no whole number of control steps of "

@@ -372,6 +372,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._over = np.array(done)
         return (
             self._obs(s, done),
+            # Gymnasium's own vector environments give rewards in double precision.
             np.where(self._spread(held), 0.0, np.float64(reward)),
             self._spread(done & ~late),
             self._spread(late),
@@ -454,6 +455,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             ends = np.full(self.num_envs, None, object)
             final = self._rows(s.final_obs)
             for i in np.flatnonzero(done):
+                # A copy: a view of one row would keep the rows of all worlds in memory.
                 ends[i] = final[i].copy()
             ends_info = {name: value.copy() for name, value in metrics.items()}
             ends_info["score"] = self._spread(s.final_score)

@@ -172,6 +172,7 @@ class TorchWorlds(EnvBase):
         done, late, bad = (
             self._tensor(one)[:, None] for one in (self._state.done, self._state.truncated, self._state.bad)
         )
+        # A fault says nothing about the task, so it cuts the episode off.
         truncated = late | bad
         return {"done": done, "terminated": done & ~truncated, "truncated": truncated, "fault": bad}
 

@@ -316,6 +316,7 @@ def _delete(path: Path) -> None:
     if doomed != path:
         with suppress(OSError):  # the next time will do
             path.rename(doomed)  # a half deleted folder must not pass for a checkpoint
+    # Remains have the mark of partial folders, so the next clean-up takes them away.
     shutil.rmtree(doomed, ignore_errors=True)
 
 

@@ -346,6 +346,7 @@ class Config:
 
     def iterations(self, agents: int) -> int:
         """Return the number of rollouts and updates, with that many robots in a world."""
+        # Rounded up: a run makes at least the steps that it was asked for.
         return -(-self.total_steps // (self.rollout_length * self.num_worlds * agents))
 
     def imitations(self, agents: int) -> int:

@@ -710,6 +710,7 @@ def fold_all(keys: jax.Array, number: int) -> jax.Array:
 def init_network(network: AnyNetwork, key: jax.Array, group: AgentGroup, shared: int | None) -> Params:
     """Return weights to begin with, for a group's observations and `shared` numbers besides."""
     robots, module = len(group.agents), cast(Any, network)  # flax types no arguments
+    # Zeros will do: initial weights depend on the shapes of inputs only.
     return module.init(
         key,
         jnp.zeros((1, 1, robots, group.obs_size)),

@@ -412,6 +412,7 @@ class SeedCheckpoints:
         """
         for run in self.runs:
             for path in run.all():
+                # Without this field a checkpoint has worlds of its own: the run was resumed by itself.
                 if int(path.name) > iteration and SET not in run.meta(path):
                     raise UsageError(f"{run.run} went on alone: resume it alone, or delete its checkpoints")
             run.delete_after(iteration)

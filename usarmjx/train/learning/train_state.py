@@ -189,6 +189,7 @@ def _initial(networks: Networks, config: Config, key: jax.Array) -> TrainState:
         obs_statistics=tuple(init_statistics(group.obs_size) for group in networks.groups),
         privileged_statistics=init_statistics(networks.privileged_size),
         return_statistics=tuple(init_statistics() for _ in networks.groups),
+        # Of a fixed type: the result of an update has it, and the next one is not compiled anew.
         learning_rate=jnp.float32(config.learning_rate),
         iteration=jnp.int32(0),
     )

@@ -385,7 +385,6 @@ def run_iterations(
                     )
             with waits.timed("log"):
                 writer.show(lines, last=finished.last)
-            # In each iteration: nothing else would stop a process whose parent has died.
             check_parent()
         if fault := writer.finish():
             raise WriteError(f"{fault}; the last checkpoint is missing: resume the run from the one before")

@@ -289,6 +289,7 @@ class Convoy(Task):
 
     def _seen(self, pose: jax.Array, speed: jax.Array, scan: jax.Array, target_speed: jax.Array) -> jax.Array:
         along, left = self.path.nearest(pose[:2])
+        # Observed by its sine and cosine, so that the difference needs no wrap.
         off, yaw = pose[5] - self.path.heading(along), pose[5]
         way = self.path.position(along + np.array(AHEAD, np.float32)) - pose[:2]
         cos, sin = jnp.cos(yaw), jnp.sin(yaw)
@@ -313,11 +314,13 @@ class Convoy(Task):
         """True distances of cars to the left [m], their speeds [m/s], the gaps before them, at most 50 m."""
         robots = view.robots(0)
         _, left = self.path.nearest(robots.pos[:, :2])
+        # The first car's gap is infinite, and observations must be finite.
         gap = jnp.minimum(self.gaps(memory.arc_length, memory.ahead), 50.0)
         return jnp.concatenate([left, jnp.linalg.norm(robots.linear[:, :2], axis=-1), gap])
 
     def gaps(self, along: jax.Array, ahead: jax.Array) -> jax.Array:
         """Return the gaps before cars, infinite where there is none to follow [m] (cars,)."""
+        # An index of -1 reads the last car, whose gap is discarded here.
         return jnp.where(ahead < 0, jnp.inf, along[ahead] - along - self.robots[0].dimensions[0])
 
     def evaluate(self, view: TaskView, memory: ConvoyMemory) -> StepResult:

@@ -416,6 +416,7 @@ class VictimSearch(TeamTask):
                 **self.metrics(memory),
                 "reported": (found.reported & people).sum() / jnp.maximum(people.sum(), 1),
                 "mapped": found.mapped.sum() / squares,
+                # Steps that a staggered start skips have no sums behind them.
                 "connected": found.connected / (memory.step - memory.skipped),
                 "wrong": found.wrong,
                 "outside": self._outside(view),
