@@ -434,6 +434,7 @@ class Client:
             return STATUS_FAILED
         (fov,) = read_parameters(command.params, Parameters(1, 1))
         self._world.zoom(robot, camera, fov)
+        # The angle in force, not the one that was asked for: it is held within the camera's limits.
         return four_decimals(robot.fovs[camera])
 
     def _zoom(self, command: wire.SetFov) -> None:
@@ -484,6 +485,7 @@ class Client:
             self._world.view_bindings.unbind(command.client)
             return
         try:
+            # The robot is not looked up: it may come later, and the view is black until then.
             self._world.view_bindings.bind(command.client, command.robot, command.name)
         except PeerError as error:
             self.session.add_fault(str(error))

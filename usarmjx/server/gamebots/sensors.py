@@ -358,6 +358,7 @@ def _package_type(kind: str) -> str:
 
 
 def _effecters(robot: RobotSpec, kind: str, name: str) -> list[Effecter]:
+    # By `is_type`, not by the kind: a vacuum counts as a gripper, too.
     own = (effecter for effecter in effecters_of(robot) if effecter.is_type(kind))
     return [effecter for effecter in own if not name or effecter.mount.name.lower() == name.lower()]
 

@@ -252,6 +252,7 @@ class BotServer:
         """Send a client's waiting bytes, or hang up if its robot is lost or it is silent without one."""
         client, patience = connection.client, self.settings.init_timeout
         if client.lost:
+            # Closed, as nothing in the protocol says to a client that its robot is gone.
             log.warning("a client's robot is gone: its connection is closed")
             connection.writer.close()
         elif patience and now > connection.last_command_time + patience and connection.is_idle:
@@ -288,6 +289,7 @@ class BotServer:
         except Exception as error:  # any error: the reports of the other clients must go out
             connection = self._connections.get(client)
             self._fault_log.warning("%s: dropped: %s", connection.peer if connection else "guest", error)
+            # A peer's fault needs no traceback; any other error is the server's own.
             if not isinstance(error, PeerError):
                 log.debug("because of", exc_info=error)
             if connection is not None:
@@ -295,6 +297,7 @@ class BotServer:
 
     async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = "{}:{}".format(*peer_address(writer))
+        # All worlds share one log: `logs.PEER` reads the number of the world here.
         if self.title:
             peer = f"{self.title}, {peer}"
         if not self._make_room():

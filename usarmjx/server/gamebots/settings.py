@@ -57,6 +57,7 @@ def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
     fields: dict[str, int] = {}
     for path in paths:
         read = read_ini(Path(path))
+        # The later versions' section wins over the manual's, wherever the two stand in a file.
         for section, line in ((name, line) for name in SECTIONS for line in read.section(name).lines):
             if line.key.lower() not in KEYS:
                 fail(line, f"[{section}] has no key {line.key}", "ListenPort or MaxConnections")

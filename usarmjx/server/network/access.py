@@ -48,6 +48,7 @@ class AccessRules:
     @cached_property
     def cookie(self) -> str:
         """Cookie for the token: a hash of it, as browsers send cookies to every port of a host."""
+        # The text keeps this hash apart from any other use of the token.
         return hmac.new(self.token.encode(), b"usarmjx page", hashlib.sha256).hexdigest()
 
     def knows_cookie(self, cookie: str) -> bool:

@@ -185,6 +185,7 @@ def _mis_pkg(message: Message) -> Command | Ignored:
     name = message.get("Name")
     if not name:
         return Ignored("MISPKG without a Name")
+    # A line with both is of the present form: its links count.
     if not message.all("Link") and message.get("Rotation"):
         return _mis_pkg_rotation(message, name)
     groups, gripper = _groups(message, _LINK_KEYS), message.get("Gripper")
@@ -320,6 +321,7 @@ def _control(message: Message) -> Command | Ignored:
     kind, name = message.get("Type"), message.get("Name")
     if not kind:
         return Ignored("CONTROL without a Type")
+    # Speed has another form with each of these types, so they are read before the common keys.
     if kind.lower() in ("setwp", "addwp"):
         return Control(kind, name, path=_path(message))
     if kind.lower() == "rotate":

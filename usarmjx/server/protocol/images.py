@@ -169,6 +169,7 @@ class ImageSession:
             # Whole periods from the first picture on, so that a late one does not lower the rate.
             self._due += self.period * (1 + math.floor((now - self._due) / self.period))
         else:
+            # The rate counts from the first picture, whenever that is.
             self._due = now + self.period
         self.region, self._asked, self._sent = None, False, True
 

@@ -155,6 +155,7 @@ def missta(time: float, package: str, links: Iterable[tuple[int, float, float]])
 
 
 def _sen(time: str | None, type_name: str, *segments: Segment) -> Message:
+    # The sensor's bWithTimeStamp decides whether there is a Time (manual 9.3).
     head: tuple[Segment, ...] = (("Time", time),) if time is not None else ()
     return Message("SEN", (*head, ("Type", type_name), *segments))
 

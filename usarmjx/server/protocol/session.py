@@ -164,6 +164,7 @@ class RobotSession:
         if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
         said = self.dialect.translate(message, self.robot_class)
+        # All lines of a message before any is added: one that cannot be written leaves none of them.
         translated = [format_message(_in_pairs(one)) for one in said]
         line = "".join(f"{one}\r\n" for one in translated).encode("latin-1", "replace")
         # Checked before it is added: the bound holds whatever the length of a line.

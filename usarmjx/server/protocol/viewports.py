@@ -139,6 +139,7 @@ class Viewports:
         """
         # Reversed, so that of cameras with one name the first counts.
         known = {name.lower(): name for name in reversed(cameras)} | {DISABLE: DISABLED, "disabled": DISABLED}
+        # An unknown layout fails and leaves the present one; the viewports of the line count all the same.
         status = STATUS_OK if not config or config.lower() in CONFIGS else STATUS_FAILED
         self.config = CONFIGS.get(config.lower(), self.config)
         for number, name in changes:

@@ -148,6 +148,7 @@ def _select(world: ServedWorld, wanted: Mapping[str, str]) -> Selection:
     robots = [robot for robot in present if name in ("", robot.name.lower())]
     if kind.lower() in {EVERY_ROBOT.lower(), *(robot.spec.name.lower() for robot in present)}:
         robots = [r for r in robots if kind.lower() in (EVERY_ROBOT.lower(), r.spec.name.lower())]
+        # The class has chosen the robots: empty, it selects no items on them.
         kind = ""
     selection = Selection(tuple(robots), kind, wanted.get("sensor", ""))
     of_items = bool(selection.kind or selection.item)

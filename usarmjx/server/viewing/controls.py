@@ -117,6 +117,7 @@ class PageRobots:
         """Return a robot that was taken over to its client or policy."""
         held = self._held.get(slot)
         if held is not None and not held.own:
+            # Stopped first: its client or policy may send no command for a while.
             self._stop(held)
             self._forget(slot)
 
@@ -383,6 +384,7 @@ class ServedControls:
 
     def drive(self, world: int, slot: int, values: Mapping[str, float]) -> None:
         """Set keys of a robot's DRIVE for half a second."""
+        # A copy of the values: the page may change its own before the request has its turn.
         self._enqueue(world, ("drive", slot), partial(self._robots[world].drive, slot, dict(values)))
 
     def set_joint(self, world: int, slot: int, joint: str, position: float) -> None:

@@ -71,6 +71,7 @@ class CameraInset:
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Render a picture, if one is due."""
+        # The user has chosen a robot again: the choice from before the picture of all robots is back.
         if self._before_all is not None and self._page.robot is not None:
             self._choice.value, self._before_all = self._before_all, None
         wanted, now = self._choice.value, time.monotonic()
@@ -128,6 +129,7 @@ class CameraInset:
         robot = self._world.robots.get(slot)
         if robot is not None:
             view = robot_view(robot, camera, SIZE)
+            # Without a tile the picture would be black, and a user would take that for what the camera sees.
             return (view, name) if view.tiles else (None, f"{name} has no {camera}.")
         return self._unclaimed(slot, camera, drawing, frame), name
 

@@ -66,12 +66,14 @@ def gated_viser(bound: socket.socket, host: str, gate: Gate, names: Collection[s
     # Viser calls websockets.asyncio.server.serve with a host and port of its own; it takes no socket.
     def gated_serve(handler: Any, _host: str, _port: int, **options: Any) -> object:  # noqa: ANN401 - viser's
         answer = _bounded(gate, _secured(options.pop("process_request")))
+        # Names first: a rebound name must not learn whether a token is right.
         options["process_request"] = for_own_names({host, *names}, asking_token(gate, answer))
         options |= {"sock": bound, "max_size": MAX_MESSAGE_SIZE, "create_connection": create_connection}
         server = serve(_guarded(handler, gate, made), **options)
         served.append(server)
         return server
 
+    # Only what viser uses of the module: any other use fails at once, and does not pass by the gate.
     stand_in = SimpleNamespace(
         asyncio=SimpleNamespace(server=SimpleNamespace(serve=gated_serve, ServerConnection=ServerConnection)),
         exceptions=websockets.exceptions,

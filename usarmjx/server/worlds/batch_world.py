@@ -141,6 +141,7 @@ class BatchWorld(ServedWorld):
 
     def setup(self) -> WorldSetup:
         """Return the world's inputs at its beginning."""
+        # A replay begins with the world's first inputs, which do not say where robots stand by now.
         taken = "robots were in use before the recording began" if self.robots else ""
         return replace(batch_setup(self._batch, self._instance, self._shared.steps), why_not=taken)
 

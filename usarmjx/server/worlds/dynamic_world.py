@@ -112,6 +112,7 @@ class DynamicWorld(ServedWorld):
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
         """Add a robot to the running world; the states of the others are kept bit for bit."""
+        # All of them first: a refusal must come before anything is recorded or added.
         for pos, _ in poses:
             self.check_position(pos)
         self.prepare(robot)
@@ -128,6 +129,7 @@ class DynamicWorld(ServedWorld):
         self.robots[slot] = new
         pos = self.state(new).pos
         if not any(np.allclose(pos, wanted, atol=1e-3) for wanted, _ in poses):
+            # No pose had room, and the world took a free place near the first one.
             new.refused = poses[0][0]
         return new
 
@@ -223,6 +225,7 @@ class DynamicWorld(ServedWorld):
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""
+        # A vacuum holds what it touches in C MuJoCo's world, beside the state that operations change.
         if isinstance(robot.effecters[effecter], Vacuum):
             return self._suck(robot, effecter, closes=Vacuum.closes(opcode, value))
         outcome = self._single.operate(robot.slot, effecter, opcode, value)

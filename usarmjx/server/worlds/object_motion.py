@@ -72,6 +72,7 @@ class ObjectMotion:
             # Closeness at the end: a sum of lengths may miss the whole by its last digit.
             if share < 1 or math.isclose(behind, lengths.sum()):
                 return self.points[index] + min(share, 1.0) * segments[index], segments[index]
+        # All waypoints are one point, from which no direction follows.
         return self.points[0], None
 
     def advance(self, pose: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray] | None:

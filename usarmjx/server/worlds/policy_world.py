@@ -311,6 +311,7 @@ class PolicyBatch(SharedBatch):
         count = self.env.worlds
         physics = self.batch.physics(self.state)
         worlds, readings = self._sense_all.compile_in(pool, self.state.worlds, physics)
+        # Shapes stand for values from here on: nothing is computed before all programs are compiled.
         parts = worlds, jax.eval_shape(lambda: physics), readings
         zero = np.zeros(count, np.int32)
         task = jax.eval_shape(self._begin_all, parts, self._task_keys, zero)
@@ -592,6 +593,7 @@ class PolicyWorld(BatchWorld):
         new = (
             self._put_first(robot, name, pos, angles) if slot is None else self._take_over(slot, robot, name)
         )
+        # Before the next action, which would replace the client's command by the policy's.
         self.policy_batch.claimed[self._instance, new.slot] = True
         group, member = self.scene.group_of(new.slot)
         if self._class_sensors.has(group):
@@ -643,6 +645,7 @@ class PolicyWorld(BatchWorld):
     def remove(self, robot: Robot) -> None:
         """Return the robot to the policy; it stands still until the next action."""
         if self.robots.get(robot.slot) is robot:
+            # The client's last command would drive on until the next action.
             self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
             del self.robots[robot.slot]
             self.policy_batch.claimed[self._instance, robot.slot] = False
