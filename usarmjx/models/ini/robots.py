@@ -381,7 +381,7 @@ def _track_of(name: str, robots: Registry[RobotSpec]) -> tuple[str, str]:
     """Return the robot and the end of a name like `TarantulaFrontTrack`; empty if it is none."""
     for end in TRACKS:
         owner = name.lower().removesuffix(f"{end}track")
-        # `removesuffix` returns the name itself where it ends otherwise.
+        # Without that ending the name itself comes back.
         if owner != name.lower() and owner in robots:
             return robots.get(owner).name, end
     return "", ""
