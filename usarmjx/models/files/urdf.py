@@ -113,7 +113,7 @@ def mend_urdf(root: LinedElement) -> list[str]:
             notes.append(
                 f"{element.place}: joint {element.get('name')!r} is continuous and has limits: they hold"
             )
-            # The range of a continuous joint is not read, see `_limit`: as a revolute one it keeps them.
+            # The range of a continuous joint is not read, see `_limit`: as a revolute one it keeps it.
             element.set("type", "revolute")
     return notes
 

@@ -384,7 +384,6 @@ def _decode(data: bytes) -> str:
     # Unreal writes its ini files in UTF-16 with a byte order mark.
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16")
-    # As UTF-8 the mark would become the first letter of the first line, which is then no header.
     if data.startswith(b"\xef\xbb\xbf"):
         return data.decode("utf-8-sig")
     try:

@@ -227,7 +227,7 @@ class _Translation:
             return None
         kept: list[tuple[str, IniValue]] = [("ItemClass", ours)]
         for key, value in line.value.fields:
-            # The robot itself is the parent by default, and no part of ours has its class as a name.
+            # The robot itself is the parent by default.
             on_robot = key.lower() == "parent" and str(value).lower().startswith("usarbot.")
             if key.lower() != "itemclass" and not on_robot:
                 kept.append((key, value))
