@@ -552,6 +552,7 @@ def load_record(folder: Path) -> RunRecord:
         if values.pop("format") != FORMAT:
             raise UsageError(f"{file} was written by another version of usarmjx")
         values["config"] = from_record(values["config"])
+        # Earlier releases wrote bare names, for version 1 of a task.
         values["task"] = recorded_name(values["task"])
         if values.get("began_with"):
             values["began_with"]["task"] = recorded_name(values["began_with"]["task"])

@@ -64,6 +64,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
         found = read_npz(file, limits, lambda name: "U" if name == ABOUT else "f")
         about = parse_json(str(found.pop(ABOUT)), f"{file} is no policy of usarmjx: {ABOUT}", UsageError)
         if is_mapping(about) and isinstance(task := about.get("task"), str):
+            # Earlier releases wrote bare names, for version 1 of a task.
             about = {**about, "task": recorded_name(task)}
         # Weights may be kept in 16 bits; all arithmetic is in 32.
         return about, {name: array.astype(np.float32) for name, array in found.items()}

@@ -668,6 +668,7 @@ class GoalTeam(TeamTask):
             free / KNOWN_SCALE,
             heard_of(belief, base, view.time).sum(-1) / TEAM_SCALE,
         ]
+        # Later scans may take free squares off a map again: news never fall below none.
         untold = jnp.maximum(news[:, None] - extra.shared, 0.0)
         # The base learns by any path, so all reports count, not those of this robot alone.
         untold = untold.at[:, base].set(jnp.maximum(news - extra.reported, 0.0))
@@ -741,6 +742,7 @@ def _picked(values: jax.Array, chosen: jax.Array) -> jax.Array:
 
 def _blocked(grid: MapGrid, known: KnownMaps) -> jax.Array:
     """Return the squares that others take, for each robot (robots, i, j)."""
+    # A robot does not stand in its own way.
     own = jnp.eye(len(known.pose), dtype=bool)
     return jax.vmap(partial(near_others, grid))(known.headers, jnp.where(own, jnp.inf, known.age))
 

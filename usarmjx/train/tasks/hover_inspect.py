@@ -256,6 +256,7 @@ class HoverInspect(Task):
         held = jnp.where(ahead & same & (far <= self.near), memory.dwell_steps + 1, 0)
         found = held >= self.dwell
         seen = memory.inspected_count + found
+        # Rooms have no roof: a robot above the walls could pass by the windows.
         touched = (wall_clearance(view) <= self.touch) | (pos[2] > HIGH)
         # By the target before it changes: the way to the next point is no loss.
         nearer = memory.distance - jnp.linalg.norm(memory.target - pos)
@@ -274,6 +275,7 @@ class HoverInspect(Task):
 def wall_clearance(view: TaskView) -> jax.Array:
     """Return how far the robot's upright box is from walls beside it, 0 where they overlap [m] ()."""
     one, walls = jax.tree.map(lambda rows: rows[0], robot_boxes(view, 0)), obstacle_boxes(view)
+    # A piece of wall below or above the box, as at a window, is not beside it.
     beside = (walls.high > one.low) & (walls.low < one.high)
     return jnp.where(beside, box_distance(one, walls), NO_OBSTACLE).min()
 
