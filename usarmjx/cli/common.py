@@ -297,7 +297,7 @@ def add_robots(files: list[Path] | None) -> None:
 
 
 def with_robot(pairs: Sequence[str] | None, robot: str | None) -> list[str]:
-    """Return `--set` of a task with the robot of `--robot`, which has priority."""
+    """Return `--set` of a task with the robot of `--robot`; a robot in both is refused when it is read."""
     return [*(pairs or ()), *([] if robot is None else [f"robot={robot}"])]
 
 

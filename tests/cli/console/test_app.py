@@ -307,6 +307,10 @@ def test_a_message_as_a_tree():
     assert branch(sonar) == {"": {"Time": "1.5"}, "F1": {"Range": "2.5"}, "F2": {"Range": "0.4"}}
     scan = parse_message("SEN {Type RangeScanner} {Name S} {Range " + ",".join(["1.5"] * 40 + ["0.2"]) + "}")
     assert branch(scan) == {"S": {"Range": "41 numbers, 0.2 to 1.5"}}
+    words = "red, green, blue, white and black doors, 3.5, " + "and so on, " * 5
+    said = branch(parse_message(f"SEN {{Type RFID}} {{Name T}} {{Text {words}}}"))
+    assert said["T"]["Text"].startswith("red, green")
+    assert said["T"]["Text"].endswith("...")
     package = parse_message("MISSTA {Time 1.0} {Name P} {Link 1} {Value 0.5} {Link 2} {Value 0.7}")
     assert branch(package)["P"] == {"Link": "1", "Value": "0.5", "Link 2": "2", "Value 2": "0.7"}
 

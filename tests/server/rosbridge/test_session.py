@@ -14,6 +14,7 @@ from usarmjx.server.rosbridge.services import read_spawn
 from usarmjx.server.rosbridge.session import (
     MAX_LENGTH,
     MAX_REPLIES,
+    MAX_SUBSCRIPTIONS,
     MAX_UNFINISHED,
     BridgeSession,
     Published,
@@ -95,6 +96,17 @@ def test_a_client_that_does_not_read_keeps_the_latest(session):
     for _ in range(2 * MAX_REPLIES):
         say(session, op="dance")
     assert len(heard(session)) == MAX_REPLIES
+
+
+def test_a_client_advertises_a_limited_number_of_topics():
+    session = BridgeSession(RosVersion.ROS2, lambda topic: "std_msgs/String")
+    for number in range(MAX_SUBSCRIPTIONS):
+        say(session, op="advertise", topic=f"/tf_repub/{number}", type="std_msgs/String")
+    say(session, op="advertise", topic="/tf_repub/0", type="std_msgs/String")
+    assert heard(session) == []
+    say(session, op="advertise", topic="/tf_repub/more", type="std_msgs/String")
+    (status,) = heard(session)
+    assert f"more than {MAX_SUBSCRIPTIONS} topics" in status["msg"]
 
 
 def test_long_texts_go_in_fragments_one_after_the_other(session):

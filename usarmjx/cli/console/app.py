@@ -3,6 +3,7 @@
 import asyncio
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -216,8 +217,10 @@ def brief(value: str) -> str:
     if len(value) <= MAX_VALUE:
         return value
     if value.count(",") > 3:
-        numbers = to_vector(value)
-        return f"{len(numbers)} numbers, {min(numbers):g} to {max(numbers):g}"
+        # Other servers send long texts with commas, too: a name, a list of classes.
+        with suppress(PeerError):
+            numbers = to_vector(value)
+            return f"{len(numbers)} numbers, {min(numbers):g} to {max(numbers):g}"
     return value[:MAX_VALUE] + "..."
 
 

@@ -279,6 +279,9 @@ class BridgeSession:
             raise UsageError(f"nobody here listens to {clip(topic)}")
         asked = _text(message, "type")
         self._check_type(topic, ALSO_TAKEN.get(asked.replace("/msg/", "/"), asked))
+        # Any number of topics of tf2_web_republisher are listened to: a client could fill the memory.
+        if topic not in self._advertised and len(self._advertised) >= MAX_SUBSCRIPTIONS:
+            raise UsageError(f"more than {MAX_SUBSCRIPTIONS} topics are too many for one client")
         self._advertised.add(topic)
 
     def _unadvertise(self, message: RosMessage) -> None:
