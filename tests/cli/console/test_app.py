@@ -311,6 +311,8 @@ def test_a_message_as_a_tree():
     said = branch(parse_message(f"SEN {{Type RFID}} {{Name T}} {{Text {words}}}"))
     assert said["T"]["Text"].startswith("red, green")
     assert said["T"]["Text"].endswith("...")
+    holes = parse_message("SEN {Type RangeScanner} {Name S} {Range " + ",".join(["1.5"] * 40 + ["nan"]) + "}")
+    assert branch(holes)["S"]["Range"].startswith("1.5,1.5,")
     package = parse_message("MISSTA {Time 1.0} {Name P} {Link 1} {Value 0.5} {Link 2} {Value 0.7}")
     assert branch(package)["P"] == {"Link": "1", "Value": "0.5", "Link 2": "2", "Value 2": "0.7"}
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from math import isfinite
 from pathlib import Path
 from typing import ClassVar
 
@@ -216,10 +217,10 @@ def brief(value: str) -> str:
     """Return a value that fits into a line; of many numbers how many there are, and their extremes."""
     if len(value) <= MAX_VALUE:
         return value
-    if value.count(",") > 3:
-        # Other servers send long texts with commas, too: a name, a list of classes.
-        with suppress(PeerError):
-            numbers = to_vector(value)
+    # A text with commas is no vector, as which the grammar reads it: its words would be zeros.
+    with suppress(ValueError):
+        numbers = [float(part) for part in value.split(",")]
+        if len(numbers) > 4 and all(map(isfinite, numbers)):
             return f"{len(numbers)} numbers, {min(numbers):g} to {max(numbers):g}"
     return value[:MAX_VALUE] + "..."
 
