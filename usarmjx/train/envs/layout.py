@@ -111,6 +111,7 @@ class ObservationLayout:
     @property
     def mask_span(self) -> Span:
         """Place of the mask of valid choices."""
+        # Last: distributions read the mask from the end of an observation.
         return Span(self.picture_span.end, self.choices[0], 1)
 
     @property
@@ -132,6 +133,7 @@ class ObservationLayout:
     def as_they_are(self) -> np.ndarray:
         """Which numbers are neither shifted nor scaled: marks of presence, picture and mask (size,)."""
         found = np.zeros(self.size, bool)
+        # One slice for picture and mask, which are the last spans.
         found[self.picture_span.first :] = True
         # A slice cannot step by 0, as it would in a task without others.
         found[self.others_span.first : self.others_span.end : max(self.others[1], 1)] = True
@@ -163,6 +165,7 @@ def layout_from_record(held: Any) -> ObservationLayout:  # noqa: ANN401 - whatev
     Raises:
         ValueError: It has none, or one with other numbers than whole ones from 0.
     """
+    # Exactly these parts: one that is not known here would be dropped silently.
     if not isinstance(held, dict) or cast(dict[str, Any], held).keys() != {"own", *ROWS}:
         raise ValueError(f"its layout has other parts than own, {', '.join(ROWS)}")
     parts = cast(dict[str, Any], held)

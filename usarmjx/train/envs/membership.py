@@ -68,12 +68,15 @@ def overlap(trained: Sequence[str], played: Sequence[str], *, renewed: bool = Fa
         played: Labels of the buildings that it plays.
         renewed: Whether its training replaces its buildings by others of split `train`.
     """
+    # Without None: arenas that were not generated have no seed, and would all count as trained in.
     seeds = {seed for label in trained if (seed := seed_of(label)) is not None}
+    # From the right: a hash has no @, a name may have one.
     contents = {label.rpartition("@")[2] for label in trained}
     return Overlap(
         count=len(played),
         seeds=sum(seed_of(label) in seeds for label in played),
         identical=sum(label.rpartition("@")[2] in contents for label in played),
+        # A training that keeps its buildings has seen no other ones of the split.
         stream=sum(split_of(_name(label)) == TRAIN for label in played) if renewed else 0,
     )
 
@@ -105,6 +108,7 @@ def training_note(name: str, recipe: object, played: Iterable[str]) -> str:
     if not alike:
         return ""
     found = overlap(_labels(recipe), alike, renewed=recipe.renewable)
+    # Only buildings of a like form were compared, but the warning speaks of all that are played.
     return replace(found, count=len(there)).note(name)
 
 

@@ -42,6 +42,7 @@ class Presence(NamedTuple):
 
 def team_key(world: World) -> jax.Array:
     """Return the key by which `Task.team` draws the team of the present episode."""
+    # Folded, as `Task.start` draws with the key itself: its numbers must not depend on those of the team.
     return jax.random.fold_in(jnp.asarray(episode_key(world, Stream.TASK_START)), TEAM_KEY)
 
 
@@ -84,6 +85,7 @@ def masked(alive: tuple[jax.Array, ...] | None, values: tuple[jax.Array, ...]) -
     if alive is None:
         return values
     return tuple(
+        # A choice, not a product: 0 times NaN is NaN.
         jnp.where(one.reshape(*one.shape, *[1] * (value.ndim - one.ndim)), value, 0.0)
         for one, value in zip(alive, values, strict=True)
     )
@@ -107,6 +109,7 @@ def carry_of_alive(carry: Any, *alive: tuple[Any, ...] | None) -> Any:  # noqa: 
         return parts
 
     def kept(mask: jax.Array, now: jax.Array) -> jax.Array:
+        # Zeros, as memories of networks begin with.
         return jnp.where(mask.reshape(*mask.shape, *[1] * (now.ndim - 2)), now, 0)
 
     return tuple(jax.tree.map(partial(kept, mask), part) for mask, part in zip(keep, parts, strict=True))
@@ -114,6 +117,7 @@ def carry_of_alive(carry: Any, *alive: tuple[Any, ...] | None) -> Any:  # noqa: 
 
 def share_alive(alive: tuple[jax.Array, ...]) -> jax.Array:
     """Return the share of a world's agents that are alive (...,)."""
+    # Over all agents at once: a mean of the groups' means would weigh those of small groups more.
     return jnp.concatenate(alive, -1).mean(-1)
 
 
@@ -151,16 +155,19 @@ def regroup(
     """
     joined = present & ~in_use(scene, world)
     qpos = jnp.asarray(start_qpos(scene, world, shuffle))
+    # All robots at their start poses: sensors are started for each, and kept for those that join.
     physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
     groups, pinned, pinned_dof = list[GroupState](), list[Part](), list[Part]()
     for group, state in zip(scene.groups, world.groups, strict=True):
         mine = joined[group.slots]
+        # The battery is full now, not since the start of the episode.
         since = jnp.full(len(group.slots), world.step)
         # Of all robots of the group: shapes must not depend on who joins.
         fresh = new_group_state(scene, group, True, since)
         fresh = start_sensors(scene, world, physics, group, fresh)
         state = jax.tree.map(partial(_where, mine), fresh, state)
         groups.append(state.replace(active=present[group.slots]))
+        # Joints as well as the root: a robot that was here before must not keep their angles.
         pinned += [(at, mine[:, None]) for at in (group.root_qposadr, group.qposadr)]
         pinned_dof += [(at, mine[:, None]) for at in (group.root_dofadr, group.dofadr)]
     pins = (
@@ -225,10 +232,12 @@ def remaining_robots(
     action = world.step // repeat
     team = drawn_team(scene, agents, least, team_key(world))
     arrives = team & (arrivals > 0) & (action == arrivals)
+    # A lost robot is no longer in use, and arrives at one action only: it stays lost without a memory of it.
     present = in_use(scene, world) | arrives
     if loss_rate > 0:
         # A rate per second as a share per action: exponential lifetimes, whatever the length of an action.
         share = 1.0 - math.exp(-loss_rate * repeat * scene.physics.period)
+        # Folded, as tasks may draw with the moment's key itself.
         drawn = jax.random.uniform(jax.random.fold_in(view.key, LOSS_KEY), (scene.num_robots,)) < share
         # Nobody is lost at the very start, or with the action in which it arrives.
         may = jnp.zeros(scene.num_robots, bool).at[agents].set(True) & (action > 0) & ~arrives

@@ -62,6 +62,7 @@ class Split:
             drawn = np.random.SeedSequence(seed).generate_state(count, np.uint64)
             return (drawn % np.uint64(self.end - self.start)).astype(np.int64) + self.start
         if self.drawn:
+            # 32 bits are just the seeds below `TRAIN_END`: no remainder favours any.
             drawn = np.random.SeedSequence(seed).generate_state(count, np.uint32).astype(np.int64)
             kept = (drawn >= HELD_OUT_START) & (drawn < HELD_OUT_END)
             # Shifted below the held-out range, not drawn again: the count of draws, and so all others, stay
@@ -210,6 +211,7 @@ class GeneratedArenas:
 
     def _drawn(self, generation: int, number: int) -> list[int]:
         """Return the seeds that are tried for an arena."""
+        # A sequence for each number: an arena that is refused changes the seeds of no other one.
         return SPLITS.get(self.split).seeds((self.seed, generation, number), RENEWAL_TRIES).tolist()
 
     def _arena_of(self, place: tuple[int, int]) -> ArenaSpec:
@@ -267,6 +269,7 @@ def open_floor(side: float = FLOOR_SIDE, starts: int = FLOOR_STARTS, seed: int =
             position = draw.uniform(-side / 2, side / 2, 2).round(3)
             if all(np.hypot(*(position - other)) >= MIN_START_DISTANCE for other in positions):
                 break
+        # The last draw counts even if it is too close: a full floor still has all its starts.
         positions.append(position)
     poses = [
         StartPose(tag=start_tag(i), at=(float(x), float(y), START_ELEVATION), yaw=float(yaw))

@@ -46,6 +46,7 @@ class AgentGroup:
     @property
     def outputs(self) -> int:
         """Parameters of the distribution of an action."""
+        # A choice has a logit; a number of a normal distribution has a mean and a deviation.
         return self.choices + 2 * self.vector.size if self.discrete else 2 * self.action_size
 
 

@@ -286,6 +286,7 @@ class Task(ABC):
 
     def agent_groups(self, scene: Scene) -> tuple[int, ...]:
         """Return which of `scene.groups` are agents, by index."""
+        # Names of classes match without case, as in USARSim.
         idle = {name.lower() for name in self.scripted}
         return tuple(g for g, group in enumerate(scene.groups) if group.robot.name.lower() not in idle)
 
@@ -419,6 +420,7 @@ class Task(ABC):
 
 def drive_keys(robot: RobotSpec) -> tuple[str, ...]:
     """Return the keys of DRIVE that do something to a robot, in their order."""
+    # An action without effect would only add variance to the policy's gradient.
     return tuple(key for key, limit in robot.drive.full_scale.items() if limit > 0)
 
 

@@ -280,6 +280,7 @@ def ablation_table(rows: Sequence[AblationRow]) -> str:
     lines: list[list[str]] = []
     for row in rows:
         gain = row.difference
+        # The difference to itself is 0 by definition, no measurement.
         known = np.isfinite(gain.low) and row.without != "nothing"
         change = f"{gain.value:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})" if known else ""
         points = [f"{row.result.parts[part]:.1f}" for part in parts]

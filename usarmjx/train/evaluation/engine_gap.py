@@ -57,6 +57,7 @@ def sources_of(named: Sequence[str]) -> Iterator[Tried]:
     for name in named:
         if Path(name).is_dir():
             record, found = load_record(Path(name)), load_policy(name)
+            # Sorted: runs with the same fields share a row in whatever order these were set.
             fields = "".join(f", {key}={text}" for key, text in sorted(record.overrides.items()))
             runs.setdefault((record.task, f"trained on {record.engine}{fields}"), []).append(found)
             continue
@@ -237,6 +238,7 @@ def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.nda
 
 
 def _touches(scene: Any, world: Any, physics: Any) -> jax.Array:  # noqa: ANN401 - of one world
+    # Clearance is of true geometry: it needs no readings.
     view = TaskView(world=world, physics=physics, readings=(), scene=scene)
     return clearance(view)[0][0] <= TOUCH
 

@@ -245,6 +245,7 @@ def _rows(run: Episodes) -> list[dict[str, Any]]:
 
 
 def _plain(one: Estimate) -> dict[str, Any]:
+    # JSON has no infinity, which the interval of a single value has.
     low, high = (end if np.isfinite(end) else None for end in (one.low, one.high))
     return {"mean": one.value, "low": low, "high": high, "method": one.method}
 

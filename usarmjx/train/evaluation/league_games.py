@@ -101,6 +101,7 @@ def play_league(
     rivals, own = np.array(env.task.rivals), networks.policy.as_policy(policy_params(train_state))
     found: dict[str, Games] = {}
     for row in standings(league):
+        # Against itself its games come out even, whatever it has learned.
         if row.player == "policy":
             continue
         if row.place is not None:

@@ -94,6 +94,7 @@ def check_levels(arenas: GeneratedArenas, worlds: int) -> None:
     Raises:
         UsageError: Worlds that are no multiple of the levels.
     """
+    # A level with more worlds than the others would pull the mean score to its own.
     if worlds % len(arenas.levels):
         raise UsageError(f"{worlds} worlds for {len(arenas.levels)} levels of arenas: expected a multiple")
 
@@ -137,6 +138,7 @@ def run_variant(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, n
     for step in range(env.episode_steps):
         carry, actions = act(carry, state.obs, jax.random.fold_in(random.key(seed), step))
         state = env.step(state, actions)
+        # For good: a bad world starts anew, and the final score it keeps is of an episode that was cut short.
         good &= ~np.asarray(state.bad)
         # Those of the last step stay: there all episodes end, see `check_whole`.
         score = np.asarray(state.final_score)

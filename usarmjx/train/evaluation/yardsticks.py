@@ -66,6 +66,8 @@ def random_policy(env: Env) -> Policy:
     def act(carry: Any, obs: ObservationArrays, key: jax.Array) -> tuple[Any, ActionArrays]:  # noqa: ANN401
         del obs
         step, before = carry
+        # Draws have mean 0: new ones at each step would cancel out, and robots would hardly leave their
+        # starts.
         anew = (step % HELD_STEPS == 0)[:, None, None]
         # A key for each group: with one key, groups of one shape would draw the same actions.
         drawn = [
@@ -192,6 +194,7 @@ def find_team(name: str) -> Team:
     try:
         source = load_policy(name)
     except UnknownNameError as error:
+        # Both lists: a name that is neither may be a misspelt team or a misspelt policy.
         raise UnknownNameError(f"{name} is none of the teams {', '.join(TEAMS)}; {error}") from error
     return partial(with_training_view, source), source.policy
 
@@ -265,6 +268,7 @@ def play_team(
     Raises:
         UsageError: Robots come, go or drop out, so that episodes end early.
     """
+    # The same seed for all teams: they differ by what they do, not by luck.
     act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
     check_whole(env, state)
     good, rows, score = np.ones(env.worlds, bool), list[dict[str, np.ndarray]](), np.zeros(env.worlds)
@@ -272,6 +276,7 @@ def play_team(
         watch(name, env, state)
         carry, actions = act(carry, state.obs, jax.random.fold_in(random.key(seed), step))
         state = env.step(state, actions)
+        # For good: a bad world starts anew, and the final score it keeps is of an episode that was cut short.
         good &= ~np.asarray(state.bad)
         # Kept of the last step: there all episodes end together, see `check_whole`.
         score = np.asarray(state.final_score)
@@ -297,6 +302,7 @@ def team_result(
     return TeamResult(
         name=name,
         score=estimate_groups(scores),
+        # Parts are points so far: the last step has those of the episode.
         parts={part: float(value[-1].mean()) for part, value in parts.items()},
         finds=tuple(np.asarray(finds).tolist()),
         outside=float(series["outside"].mean()) if "outside" in series else 0.0,
@@ -449,5 +455,6 @@ def shares(rows: Sequence[TeamResult]) -> str:
     # Of the same buildings for all, or a team's lost one would move its share.
     good = np.isfinite(np.stack([*named.values()])).all(0)
     low, high = (named[name][good].mean() for name in ("random", "oracle"))
+    # In a few buildings the oracle may be no better than chance: no division by 0.
     found = {name: (one[good].mean() - low) / max(high - low, 1e-9) for name, one in named.items()}
     return "share of the oracle's: " + ", ".join(f"{name} {share:.2f}" for name, share in found.items())

@@ -194,6 +194,7 @@ def on_gpu(engine: str) -> bool:
     """Return whether the worlds of an engine are on a GPU here; JAX is started by that."""
     import jax
 
+    # In this order: JAX's backend is not started for worlds on the host.
     return engine not in HOST_ENGINES and jax.default_backend() != "cpu"
 
 
@@ -307,6 +308,7 @@ class Config:
 
     def problem(self) -> str:
         """Return the fault of settings that do not go together, in words; empty: there is none."""
+        # Compiled shapes are fixed: all minibatches have the same number of worlds.
         if self.num_worlds % self.num_minibatches:
             return f"{self.num_worlds} worlds cannot be divided into {self.num_minibatches} minibatches"
         if self.network != "mlp" and (self.gru_size or self.shared_policy):
@@ -351,6 +353,7 @@ class Config:
 
     def imitations(self, agents: int) -> int:
         """Return the number of them in which the policy imitates the baseline."""
+        # Rounded up, too: any steps of imitation make at least one iteration.
         return -(-self.imitation_steps // (self.rollout_length * self.num_worlds * agents))
 
 
@@ -548,6 +551,7 @@ def load_record(folder: Path) -> RunRecord:
     if not file.is_file():
         raise UsageError(f"{folder} is no run: it has no {RECORD_FILE}")
     try:
+        # Runs of earlier versions have records without a checksum.
         values = read_kept(file, needs_checksum=False)
         if values.pop("format") != FORMAT:
             raise UsageError(f"{file} was written by another version of usarmjx")
@@ -557,6 +561,7 @@ def load_record(folder: Path) -> RunRecord:
         if values.get("began_with"):
             values["began_with"]["task"] = recorded_name(values["began_with"]["task"])
         return default_reader().from_data(RunRecord, values, where=str(file))
+    # Somebody may have edited the file: parts of any type must give one line, not a traceback.
     except (KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} does not read: {error}") from error
 

@@ -17,6 +17,7 @@ Distribution: TypeAlias = "NormalTanhDistribution | ChoiceDistribution | MixedDi
 # Finite: where no choice is there, infinities would make all shares NaN.
 INVALID = -1e9
 """Logit of a choice that is not there."""
+# A density grows without bound as its deviation goes to 0, and with it the ratio of PPO.
 MIN_STD = 0.01
 """Least deviation of an action before it is squashed."""
 

@@ -29,7 +29,10 @@ class TensorBoardLog(AppendedFile):
     """
 
     def __init__(self, folder: Path, after: int) -> None:
+        # Time, machine and process: a run that is resumed, or another one, must not write into the same
+        # file.
         now = f"{time.time():.0f}.{socket.gethostname()}.{os.getpid()}"
+        # TensorBoard reads the files whose names have tfevents in them.
         super().__init__(folder / f"events.out.tfevents.{now}")
         start: Any = SessionLog(status=SessionLog.START)
         # TensorBoard drops what an earlier file has from a START's step on: a resumed run repeats those
@@ -53,6 +56,7 @@ class TensorBoardLog(AppendedFile):
         Raises:
             WriteError: Nothing was written; it waits.
         """
+        # Six bytes of signature and version come before; GIF is little-endian.
         width, height = struct.unpack("<HH", gif[6:10])  # of the logical screen
         # A colorspace of 3 is RGB.
         picture = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
@@ -68,4 +72,5 @@ def _framed(event: Any) -> bytes:  # noqa: ANN401 - protobuf's
 
 
 def _checksum(data: bytes) -> bytes:
+    # Masked, as TFRecord asks: a checksum over data that holds checksums is weak.
     return struct.pack("<I", masked_crc32c(data))

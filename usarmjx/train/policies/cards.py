@@ -81,12 +81,14 @@ def card_text(name: str) -> str:
         "network": f"{policy.network}, {policy.layers} hidden layers{memory}, {count:,} weights",
         "action each": f"{policy.period:g} s",
         "fields of the task": fields,
+        # Another file under this name must not get scores that it never had.
         "sha256": card.sha256 if card.sha256 == file_hash(file) else f"{card.sha256}, but the file differs",
         "trained": card.trained,
         "seeds": card.seeds,
         "chosen": card.chosen,
         "settings": card.settings,
         "curve": card.curve,
+        # Numbered: rows are a dictionary, where one score would replace the other.
         **{f"score {i}" if len(card.score) > 1 else "score": one for i, one in enumerate(card.score, 1)},
         "ablation": card.ablation,
     }

@@ -37,6 +37,7 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
     """
     suffix = Path(file).suffix.lower()
     if suffix == ".onnx":
+        # Here: the module needs the extra onnx, which the other kinds of files do without.
         from usarmjx.train.policies.onnx_file import write_onnx
 
         # By way of a file for NumPy, so that both kinds hold the same rounded weights.
@@ -45,6 +46,7 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
             write_onnx(NumpyPolicy(Path(folder) / WEIGHTS), Path(file))
         return
     if suffix == SUFFIX:
+        # Before the export, which starts JAX to read a run: a wrong place is refused at once.
         check_place(Path(file))
         with TemporaryDirectory() as folder:
             export_run(run, Path(folder) / WEIGHTS, which, half)
@@ -55,8 +57,10 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
             f"{file}: a policy is written as .npz or .onnx, not as {Path(file).suffix or 'a bare name'};"
             " .policy makes a folder with a card"
         )
+    # A folder comes first: a run may be named as a task is.
     if not Path(run).exists() and (name := newest_name(str(run))) in POLICIES:
         about, arrays = read_arrays(POLICIES.get(name))
+        # Written anew, not copied: another precision may be asked for.
         write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
         return
     if not Path(run).exists():
