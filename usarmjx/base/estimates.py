@@ -245,8 +245,10 @@ def p_value(value: float, variance: float, dof: float) -> float:
     from scipy import special  # pyright: ignore[reportMissingTypeStubs]
 
     functions: Any = special
+    # Without spread only an estimate of 0 agrees with a truth of 0; of an unknown spread nothing is known.
     if variance <= 0.0 or not np.isfinite(variance):
         return float(variance <= 0.0 and value == 0.0) if np.isfinite(variance) else 1.0
+    # The lower tail keeps its digits: 1 less the upper one would round to 0 for small probabilities.
     statistic = -abs(value) / np.sqrt(variance)
     tail = functions.ndtr(statistic) if not np.isfinite(dof) else functions.stdtr(dof, statistic)
     return float(2.0 * tail)
@@ -384,6 +386,7 @@ def estimate_groups(
     if there < 2 * (level.max() + 1):
         level = np.zeros(len(values), int)
     middle = float(values.mean())
+    # Within strata: levels are the same in each evaluation, so their differences are no chance.
     rest = values - (np.bincount(level, values) / np.bincount(level))[level]
     sums = np.bincount(index, rest)
     return crossed_estimate(
@@ -455,10 +458,11 @@ class Resampler:
         found: list[np.ndarray] = []
         for task, table in enumerate(tables):
             runs, _, buildings = table.shape
+            # Buildings are shared by all methods, so that differences of methods do not contain their spread.
             shared = np.random.default_rng((self.seed, task))
             weights = shared.multinomial(buildings, np.full(buildings, 1.0 / buildings), self.draws)
             means = weighted_means(table, weights)
-            # Buildings are shared by all methods, so that differences of methods do not contain their spread.
+            # From 1: NumPy ignores a 0 at the end of a seed, so stream 0 would draw as the buildings do.
             own = np.random.default_rng((self.seed, task, 1 + stream))
             picked = own.integers(0, runs, (self.draws, runs, 1))
             found.append(np.take_along_axis(means, picked, 1))

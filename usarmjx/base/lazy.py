@@ -35,6 +35,7 @@ def attach(
         return getattr(import_module(modules[name]), name)
 
     def list_names() -> list[str]:
+        # Completion must offer names that have not been loaded yet, too.
         return sorted({*vars(sys.modules[package]), *exported})
 
     return get_attribute, list_names, exported

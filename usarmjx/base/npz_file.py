@@ -51,6 +51,7 @@ def read_npz(file: Path, limits: NpzLimits, kinds: Callable[[str], str]) -> dict
         Exception: It is no such file; zipfile and NumPy raise whatever they run into.
     """
     with zipfile.ZipFile(file) as held:
+        # NumPy adds the suffix to the name of each array.
         members = {one.filename.removesuffix(".npy"): one for one in held.infolist()}
         _check_sizes(file, held.infolist(), limits)
         # Headers before arrays: a shape can ask for more memory than the file has bytes.

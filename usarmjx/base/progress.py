@@ -24,6 +24,7 @@ class RateLimitedLog:
         self,
         tell: Callable[[str], None],
         period: float = PERIOD,
+        # Not the time of day: set back by an hour, it would hold lines back for an hour.
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._tell, self._period, self._clock = tell, period, clock
@@ -63,6 +64,7 @@ class StatusLine:
     def clear(self) -> None:
         """Clear the line if it is shown."""
         with self._lock:
+            # Another line may have been shown since: that one stays.
             if StatusLine._shown is self:
                 StatusLine._shown = None
                 self._stream.write(CLEAR)

@@ -141,6 +141,7 @@ def times(one: Sequence[Array], factor: Array | float) -> Components:
 
 def dot(one: Sequence[Array], other: Sequence[Array]) -> Array:
     """Return the scalar product of two vectors."""
+    # Not the built-in sum: its 0 at the start would be one more operation to trace.
     first, *more = (a * b for a, b in zip(one, other, strict=True))
     for product in more:
         first = first + product

@@ -22,6 +22,7 @@ def markdown_table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> 
 
 
 def _line(cells: Sequence[object]) -> str:
+    # A bar would end its cell.
     return f"| {' | '.join(str(cell).replace('|', '/') for cell in cells)} |"
 
 

@@ -63,10 +63,12 @@ def angles_from_mat(mat: Array, xp: ModuleType = np) -> Array:
 
     In gimbal lock (pitch of +-pi/2) roll is 0 and yaw is the whole rotation.
     """
+    # The hypotenuse is the cosine of the pitch.
     upright = xp.hypot(mat[..., 0, 0], mat[..., 1, 0]) < GIMBAL_LOCK_COS
     roll = xp.where(upright, 0.0, xp.arctan2(mat[..., 2, 1], mat[..., 2, 2]))
     # Clipped: rounding can exceed 1, and arcsin would return NaN.
     pitch = xp.arcsin(xp.clip(-mat[..., 2, 0], -1.0, 1.0))
+    # With a roll of 0 these entries are minus the sine and the cosine of the yaw.
     turned = xp.arctan2(-mat[..., 0, 1], mat[..., 1, 1])
     yaw = xp.where(upright, turned, xp.arctan2(mat[..., 1, 0], mat[..., 0, 0]))
     return xp.stack([roll, pitch, yaw], -1)

@@ -25,6 +25,7 @@ def recorded_name(name: str) -> str:
 
 def newest_name(name: str) -> str:
     """Return a task's full name: a bare one is that of the newest version, an unknown or own one stays."""
+    # Here: names in files and own ones are read without any task, and so without JAX.
     from usarmjx.train.tasks import TASKS
 
     return TASKS.full_name(name) if name in TASKS else name

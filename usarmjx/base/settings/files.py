@@ -111,11 +111,13 @@ def read_bytes(path: Path, most: int = MAX_FILE_BYTES, refusal: type[UsageError]
 
 def first_line(error: Exception) -> str:
     """Return the first line of a library's error."""
+    # Refusals are one line, messages of parsers may be several.
     return str(error).splitlines()[0]
 
 
 def joined(name: str, more: str) -> str:
     """Return the names that lead to a value, cut short: each value keeps its own."""
+    # At the top of a file no name comes before the dot.
     whole = (name + more).lstrip(".")
     return whole if len(whole) <= MAX_QUOTED else "..." + whole[3 - MAX_QUOTED :]
 

@@ -45,6 +45,7 @@ def parse_json(
         raise refusal(f"{where}: is no JSON: {reason}")
 
     def whole(digits: str) -> int:
+        # Before the conversion, whose time grows with the square of the digits.
         if len(digits) > MAX_DIGITS:
             refuse(f"a number of {len(digits)} characters; at most {MAX_DIGITS}")
         return int(digits)

@@ -78,6 +78,7 @@ def parse_number(text: str, unit: str = "", *, unit_needed: bool = False) -> flo
         return None
     # Whole numbers stay exact at any length.
     plain = int(digits) if digits.lstrip("+-").isdigit() else float(digits)
+    # Unchanged without a factor: a product with 1.0 would make a float of a whole number.
     return plain if factors[named] == 1.0 else plain * factors[named]
 
 
@@ -117,6 +118,7 @@ def parse_mapping(text: str) -> dict[str, str] | None:
     found: dict[str, str] = {}
     items = parse_list(_without_brackets(text.strip(), "{", "}"))
     for item in items or ():
+        # At the first colon: the value may be a mapping in turn.
         key, colon, value = item.partition(":")
         if not (colon and key.strip()) or key.strip() in found:
             return None
@@ -149,6 +151,7 @@ def parse_assignments(pairs: Iterable[str], where: str = "") -> dict[str, Text]:
     start = f"{where}: " if where else ""
     found: dict[str, Text] = {}
     for pair in pairs:
+        # At the first sign: the text may have more of them.
         name, equals, text = pair.partition("=")
         name = name.strip()
         if not (equals and name):

@@ -45,6 +45,7 @@ def to_data(value: object, *, changed_only: bool = False) -> Any:  # noqa: ANN40
         return {name: to_data(item, changed_only=changed_only) for name, item in kept}
     if isinstance(value, Enum):
         return value.value if isinstance(value.value, str | int) else value.name
+    # Before the numbers: a bool is an int in Python.
     if value is None or isinstance(value, bool):
         return value
     if isinstance(value, int | str):  # not one of a class derived from them, as `Text`

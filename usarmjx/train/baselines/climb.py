@@ -22,6 +22,7 @@ def climb_action(seen: jax.Array, pace: float) -> jax.Array:
     """Return the action (2,) or (4,) for one robot's observation of `Stairs` (n,); `pace` is a share."""
     off = jnp.arctan2(seen[1], seen[0])
     turn = jnp.clip(STEER * off, -1.0, 1.0)
+    # One track is slowed down, instead of the other one being faster than the pace.
     left, right = pace * jnp.minimum(1.0 - turn, 1.0), pace * jnp.minimum(1.0 + turn, 1.0)
     return jnp.stack([left, right])
 

@@ -52,6 +52,7 @@ def _before(point: jax.Array) -> jax.Array:
 def _action(forward: jax.Array, left: jax.Array, up: jax.Array, turn: jax.Array) -> jax.Array:
     """Return the action for speeds [m/s], slower if they are too fast, and a turn to the left [rad]."""
     speed = jnp.stack([forward, -left])
+    # Both by one factor: each cut by itself would turn the direction of flight.
     speed = speed / jnp.maximum(jnp.linalg.norm(speed), 1.0)
     clockwise = jnp.clip(-TURN_GAIN * turn / TURN_RATE_SCALE, -1.0, 1.0)
     return jnp.concatenate(

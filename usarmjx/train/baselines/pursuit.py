@@ -28,6 +28,7 @@ def pursuit_action(seen: jax.Array, task: Convoy) -> jax.Array:
     # The circle through the rear axle, along the car's heading there, and the point.
     # A point at the axle has no circle.
     bend = 2.0 * goal[1] / jnp.maximum((goal**2).sum(), 1e-3)
+    # The bicycle model: front wheels at this angle lead the rear axle along the circle.
     steer = jnp.arctan(car.wheel_base * bend) / car.drive.max_front_steer
     gap = _gap(RANGE_SCALE * seen[5 + 2 * len(AHEAD) :], points, car.dimensions[0] / 2 + car.wheel_base / 2)
     wanted = jnp.where(gap >= RANGE_SCALE, target, (gap - task.standstill) / task.headway)
@@ -44,6 +45,7 @@ def _gap(scan: jax.Array, points: jax.Array, front: float) -> jax.Array:
     """Return how far away something in the lane is, by the scanner at `front` of the rear axle [m] ()."""
     angle = np.linspace(-0.6, 0.6, BEAMS)
     hit = jnp.stack([front + scan * np.cos(angle), scan * np.sin(angle)], -1)
+    # Every half metre: against the width of the lane the nearest point is as good as the nearest part.
     x = jnp.arange(0.0, AHEAD[-1], 0.5)
     lane = jnp.stack([jnp.interp(x, np.array(AHEAD), points[:, i]) for i in range(2)], -1)
     aside = jnp.linalg.norm(hit[:, None] - lane, axis=-1).min(-1)

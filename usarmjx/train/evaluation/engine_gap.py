@@ -287,6 +287,7 @@ def drive_gap(
     apart = real.distance(other, in_space=robot.drive.applies_wrench)
     # Rounding of times to looks may end one behind the last.
     looks = [min(round(horizon / real.period), len(apart) - 1) for horizon in HORIZONS]
+    # Medians: a single robot that gets stuck on one engine only would dominate a mean.
     cells = [f"{np.median(apart[look]):.2f} m" for look in looks]
     cells.append(" / ".join(_ranges_apart(real, other, look) for look in looks))
     cells.append(" / ".join(_metres(np.median(one.slip[-1])) for one in (real, other)))

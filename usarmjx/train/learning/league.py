@@ -108,6 +108,7 @@ def draw_opponents(league: League, mix: tuple[float, ...], keys: jax.Array) -> j
     """
     there = league.since >= 0
     by_hand, idle, itself = (jnp.int32(league.size + number) for number in range(3))
+    # Free places have a rating, too, but no player.
     best = jnp.argmax(jnp.where(there, league.ratings, -jnp.inf))
 
     def draw(key: jax.Array) -> jax.Array:

@@ -286,6 +286,7 @@ class PolicySource:
             UnknownNameError: No such task, or field of it; lists those there are.
         """
         self.check_task()
+        # Only after the check: to find an own task is to run its file.
         overrides, notes = task_settings(self.task, self.overrides, settings)
         if split is not None:
             overrides["arena"] = arenas_of(self.task, overrides, split)

@@ -16,6 +16,7 @@ VICTIM_NUMBERS = 4
 def coarse(mask: Array, width: int) -> jax.Array:
     """Return the share of a mask (i, j) in each block of a map (width, width)."""
     sides = [-(-side // width) for side in mask.shape]
+    # Blocks are whole: squares beyond the map count as not in the mask.
     missing = [(0, side * width - length) for side, length in zip(sides, mask.shape, strict=True)]
     whole = jnp.pad(mask.astype(jnp.float32), missing)  # pyright: ignore[reportUnknownMemberType]
     return whole.reshape(width, sides[0], width, sides[1]).mean((1, 3))

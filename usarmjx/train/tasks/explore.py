@@ -99,5 +99,6 @@ class Explore(TeamTask):
 
 def on_maps(memory: TeamMemory) -> jax.Array:
     """Return the share of the building that is on a map, on average over the robots ()."""
+    # Where no square can be reached the share is 0, not NaN.
     squares = jnp.maximum(memory.reachable.sum(), 1)
     return memory.extra.sum((1, 2)).mean() / squares
