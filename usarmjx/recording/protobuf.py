@@ -278,6 +278,7 @@ def _fill(message: Any, value: Mapping[str, Any]) -> None:  # noqa: ANN401 - a g
     for key, item in value.items():
         field = fields[key]
         if isinstance(item, list):
+            # Protobuf refuses an assignment to a repeated field: it is filled in place.
             target = getattr(message, key)
             if field.message_type is None:
                 target.extend(item)

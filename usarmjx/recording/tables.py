@@ -92,12 +92,14 @@ def _line_rows(recording: Recording) -> Iterator[TableRow]:
     begun: dict[TableRow, tuple[TableRow, str]] = {}
     for message in recording.messages({"lines"}):
         content, world = message.value, message.channel.world
+        # Each direction of each connection is a stream of its own: parts of lines join within it only.
         who = (world, content["peer"], content["sent"])
         row = (round(message.time, 6), world, content["robot"], content["peer"], content["sent"])
         *whole, rest = _LINE_END.split(begun.pop(who, (row, ""))[1] + content["text"])
         yield from ((*row, line) for line in whole if line)
         if rest:
             begun[who] = row, rest
+    # A recording may end in the middle of a line: its part is a row, too.
     yield from ((*row, rest) for row, rest in begun.values())
 
 

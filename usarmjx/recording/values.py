@@ -66,6 +66,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
         return [*cast(tuple[object, ...], value)]
     if isinstance(value, np.ndarray):
         array = cast(np.ndarray[Any, Any], value)
+        # The bytes of an object array are addresses, which mean nothing in a file.
         if array.dtype == object:
             return {WORDS: [str(item) for item in array.tolist()]}
         if array.dtype.kind in NUMBERS:
@@ -96,6 +97,7 @@ def unpack(data: bytes) -> Any:  # noqa: ANN401 - any of the values
         return msgpack.unpackb(
             data, object_hook=_value, ext_hook=_array, use_list=False, strict_map_key=False
         )
+    # `_value` and `_array` name their fault already: the clause below would hide it in another text.
     except UsageError:
         raise
     except Exception as error:  # MessagePack, NumPy and constructors raise any error on broken bytes

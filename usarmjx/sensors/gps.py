@@ -81,6 +81,7 @@ def satellite_directions() -> np.ndarray:
     # Half a step in: no satellite stands exactly at the mask or in the zenith.
     index = np.arange(MAX_SATELLITES) + 0.5
     up = math.sin(ELEVATION_MASK) + (1 - math.sin(ELEVATION_MASK)) * index / MAX_SATELLITES
+    # The golden angle, 137.5 degrees, is no simple part of a turn: no two satellites share a bearing.
     bearing = math.pi * (3 - math.sqrt(5)) * index
     along = np.sqrt(1 - up**2)
     return np.stack([along * np.cos(bearing), along * np.sin(bearing), up], -1).astype(np.float32)
@@ -140,6 +141,7 @@ def geographic_coordinates(
     origin = reference_location(settings.zero_zero_location) if origin is None else origin
     scales = settings.latitude_scale, settings.longitude_scale
     latitude, longitude = map(_wrapped, to_lat_lon(origin, (position[0], position[1]), scales))
+    # `_wrapped` leaves up to 180 degrees: the way past a pole counts back from it.
     if abs(latitude) > 90:
         latitude = math.copysign(180, latitude) - latitude
     return latitude, longitude
@@ -164,6 +166,7 @@ class Gps(Sensor):
         """Check mounts and settings; see `Sensor.check`."""
         super().check()
         try:
+            # The result is dropped: a bad location must be refused while the scene is built.
             reference_location(self.settings[0].zero_zero_location)
         except SpecError as error:
             raise SpecError(f"{self.kind} {self.mounts[0].name}: {error}") from error

@@ -134,6 +134,7 @@ class Imu(Sensor):
         # acceleration.
         elapsed = inputs.clock.since(memory.step)[..., None]
         again, span = elapsed > 0, xp.where(elapsed > 0, elapsed, FIRST_INTERVAL)
+        # A rotation leaves its own axis alone, so this vector is the same in the mount's old and new axes.
         turned = rotation_vector(matmul(memory.mat.mT, mat))
         rate = xp.where(again, turned / span, matvec(mat.mT, turn))
         change = xp.where(again, (velocity - memory.velocity) / span, 0.0)
@@ -204,6 +205,7 @@ class Magnetometer(Sensor):
         """Measure once."""
         settings = self.settings[0]
         _, mat = self.mount_poses(inputs.bodies)
+        # Hard iron turns with the robot: it is added in the mount's axes, behind the rotation.
         seen = matvec(mat[..., 0, :, :].mT, settings.field) + self._iron
         return memory, seen + settings.field_noise * random.normal(key, seen.shape)
 
@@ -212,6 +214,7 @@ for _sensor in (Imu, Magnetometer):
     SENSORS.add(_sensor.kind, _sensor)
 
 
+# The margin admits 3.1416, which is 7.3e-6 above pi.
 HEADING_LIMITS = Setting(unit="rad", ge=-math.pi - 1e-5, le=math.pi + 1e-5)
 
 

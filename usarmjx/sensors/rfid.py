@@ -167,6 +167,7 @@ class Rfid(Sensor):
     needs_surroundings = True
     needs_victims = False
     transparent = frozenset({SKY, GLASS})
+    # Bundles are for rays of similar directions, and tags lie in any direction.
     bundle_size = 1
     settings_class = RfidSettings
 
@@ -266,6 +267,7 @@ class Rfid(Sensor):
         The content of tags is not part of the sensor: see `server.worlds`.
         """
         del inputs
+        # Not negative: -1 would match the entries of `last_read_ids` that stand for no tag.
         known = opcode.lower() in ("read", "write") and bool(params) and params[0] >= 0
         # Tags of the last reading are those in range now.
         return memory if known and bool(np.any(np.asarray(memory.last_read_ids) == params[0])) else None

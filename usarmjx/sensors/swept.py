@@ -237,6 +237,7 @@ class PointCloud(SweptScanner):
         del key
         far = xp.minimum(inputs.hits.distance, self.max_distance)
         # The row of the memory before it goes on: the hits are those of that row's beams.
+        # Of cut distances: infinity times a direction's component of 0 would be NaN.
         points = far[..., None] * row_directions(self.settings[0], memory)
         return (memory + 1) % self.settings[0].rows, points
 

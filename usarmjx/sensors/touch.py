@@ -77,6 +77,7 @@ def origin_setback(at: np.ndarray, axis: np.ndarray, boxes: np.ndarray) -> float
         return ORIGIN_SETBACK
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (boxes - at) / axis  # inf where the line is parallel to a side, NaN where it lies in it
+    # NaN, 0 / 0: the line lies in a side, so this pair of sides does not bound it.
     ends = np.where(np.isnan(ends), np.array([-np.inf, np.inf])[:, None], ends)
     enter, leave = ends.min(1).max(-1), ends.max(1).min(-1)
     met = enter <= leave
@@ -85,6 +86,7 @@ def origin_setback(at: np.ndarray, axis: np.ndarray, boxes: np.ndarray) -> float
     else:  # beside or above all of them: a wall meets the foremost
         farthest = np.where(axis > 0, boxes[:, 1], boxes[:, 0])
         front = float(((farthest - at) @ axis).max())
+    # Negative: the hull ends behind the button, which is inside a wall that the hull is pushed against.
     return ORIGIN_SETBACK + max(0.0, -front)
 
 

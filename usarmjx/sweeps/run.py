@@ -154,6 +154,7 @@ def tensorboard_sink(folder: Path) -> Sink:
         settings = {
             f"setting/{key}": float(value)
             for key, value in record.settings.items()
+            # A bool is an int to Python: a switch would get a curve of zeros and ones.
             if isinstance(value, int | float) and not isinstance(value, bool)
         }
         board.show(count[0], {**settings, **numbers_of(record)})
