@@ -227,7 +227,7 @@ def test_successive_rows_take_no_gather():
 
 
 class Scale:
-    """What a function is traced for."""
+    """Owner of traced functions."""
 
     def __init__(self, factor):
         self.factor = factor

@@ -144,6 +144,14 @@ def test_what_stands_on_a_large_box_keeps_its_contact_and_its_normal(kind, size)
     assert np.linalg.norm(normals, axis=-1).max() < 5e-5
 
 
+def test_a_block_on_level_ground_keeps_its_four_contacts():
+    """Searches of 0.2 % of them stall; faces have the depth, but not the contacts of a search that ends."""
+    scene = SCENE.replace("0.9914449 0 -0.1305262 0", "1 0 0 0")
+    model = mujoco.MjModel.from_xml_string(scene.format(kind="box", size=".1 .1 .1"))
+    at = standing(model, "box", ".1 .1 .1", 40_000).astype(np.float32)
+    assert {len(one) for one in on_warp(model, at, mjx_warp._collision(None))} == {4}
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_a_geom_that_is_deep_in_a_large_box_keeps_its_contact(case):
     """Of 2,000 poses one to six had none, up to 9 mm deep; flat ones of boxes may have other numbers."""

@@ -320,12 +320,12 @@ CONVERGED = replace(Physics(), solver="Newton", iterations=100, ls_iterations=50
     ("engine", "physics", "on_c", "tolerance"),
     [
         ("jax", Physics(), Physics(), 5e-3),
-        # Both solve to the end: apart by 1e-5 after 7 s of contacts, in single and in double precision.
+        # Both solve to the end: apart by 1e-5 after 9 s, in single and in double precision.
         ("warp", replace(Physics(), solver="block"), CONVERGED, 1e-4),
     ],
 )
 def test_a_block_that_a_robot_pushes_takes_lifts_and_holds_moves_as_on_c(engine, physics, on_c, tolerance):
-    """Seven seconds of contact with floor, palm and fingers; their gear is among what must agree."""
+    """Nine seconds, most in contact with floor, palm and fingers; their gear is among what must agree."""
     arena = replace(FLAT, name="push", loose=(block((0.5, 0.0)),))
     final = []
     for name, settings in (("c", on_c), (engine, physics)):

@@ -20,6 +20,7 @@ from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from inspect import Signature, signature
+from threading import Lock
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeAlias, TypeVar, cast
 from weakref import WeakKeyDictionary, ref
@@ -236,6 +237,7 @@ def traced_once(
         function: Callable[Concatenate[Owner, Params], T],
     ) -> Callable[Concatenate[Owner, Params], T]:
         programs: WeakKeyDictionary[Owner, Callable[..., T]] = WeakKeyDictionary()
+        guard = Lock()
 
         def of(owner: Owner) -> Callable[..., T]:
             # As a static argument, or by a strong reference, it would live as long as its program.
@@ -254,9 +256,10 @@ def traced_once(
         def run(owner: Owner, *args: Params.args, **kwargs: Params.kwargs) -> T:
             if _on_numpy.get():
                 return function(owner, *args, **kwargs)
-            if owner not in programs:
-                programs[owner] = of(owner)
-            return programs[owner](*args, **kwargs)
+            # Threads may compile at once: all of them take the program of the first.
+            with guard:
+                program = programs.get(owner) or programs.setdefault(owner, of(owner))
+            return program(*args, **kwargs)
 
         return run
 

@@ -49,7 +49,7 @@ class PlaceError(UsageError):
     """
 
     def __init__(self, text: str, pos: tuple[float, float, float]) -> None:
-        # Both arguments: unpickling in another process makes an exception anew from those of its base.
+        # Both arguments: unpickling in another process calls the class with the arguments of its base.
         super().__init__(text, pos)
         self._text, self._pos = text, pos
 

@@ -62,7 +62,8 @@ def unstalled_gjk(
                 verdict = verdict_of_faces(geom1, geom2, kind2)
             if verdict < 0:
                 result.dist = APART
-            if verdict != 0:
+            # Two boxes have several contacts, which need a search that ends.
+            if verdict < 0 or (verdict > 0 and (kind1 != BOX or kind2 != BOX)):
                 break
         guess = wp.vec3(guess[1], guess[2], guess[0]) + 0.3 * guess
         attempt += 1

@@ -50,7 +50,7 @@ def film_teams(task: str, rows: Sequence[TeamResult], seen: TeamWays, out: Path)
         WriteError: The file cannot be written.
     """
     # Episodes of teams may differ in length: the film is as long as the longest.
-    steps = max((len(seen.ways[row.name]) for row in rows if row.name in seen.ways), default=0)
+    steps = max((len(way) for way in seen.ways.values()), default=0)
     if not steps:
         raise ValueError("no team has been watched")
     frames = frames_of(steps)

@@ -111,7 +111,6 @@ class SweepProgress:
 def duration_text(seconds: float) -> str:
     """Return a time in seconds, minutes or hours."""
     whole = round(seconds)
-    # Two digits at most, up to 99 s and 99 min.
     if whole < 100:
         return f"{whole} s"
     return f"{round(whole / 60)} min" if whole < 6000 else f"{whole / 3600:.1f} h"

@@ -318,7 +318,6 @@ def _run_row(one: RunResult) -> list[str]:
     # A policy for all tasks has the same hash in each of them.
     hashes = ", ".join(dict.fromkeys(one.policies.values()))
     jax = str(one.versions.get("jax", ""))
-    # The date alone, of a time in ISO 8601.
     return [one.method, f"`{one.run}`", one.commit, one.card, jax, one.when[:10], hashes]
 
 

@@ -106,7 +106,7 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
 
 def linear_rgb(rgb: np.ndarray) -> np.ndarray:
     """Return linear colours (..., 3) of sRGB colours."""
-    # The curve of IEC 61966-2-1: a line near black, where a power would be too steep.
+    # The curve of IEC 61966-2-1: a line near black, where the inverse of a power is too steep.
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 

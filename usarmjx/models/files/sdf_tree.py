@@ -43,7 +43,6 @@ MOVE_PLUGINS = ("planarmove", "multicoptermotor", "omnidrive", "trackedvehicle",
 
 def inverse(pose: Pose) -> Pose:
     """Return the inverse of a pose."""
-    # The transpose of a rotation is its inverse.
     return Pose(-pose.mat.T @ pose.pos, pose.mat.T)
 
 
