@@ -113,7 +113,7 @@ class RecordingSource:
         before = self.recording.last("frames", number, self.time)
         # Before a world's first frame it is shown as it begins.
         before = before or self.recording.following("frames", number, -1.0)
-        assert before is not None  # every world of `_worlds` has a frame
+        assert before is not None  # every world of `worlds` has a frame
         self._around[world] = before, self.recording.following("frames", number, before.time)
         return self._around[world]
 
@@ -153,6 +153,7 @@ def between(before: Frame, after: Frame, share: float) -> Frame:
     """
     # A quaternion and its negative are the same rotation: blend along the shorter way.
     sign = np.where((before.quat * after.quat).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
+    # The blend of two unit quaternions is shorter than 1, and is normalised below to be a rotation.
     quat = before.quat + share * (sign * after.quat - before.quat)
     return replace(
         before,

@@ -169,6 +169,7 @@ def script_digest(path: Path) -> str:
     """
     found: dict[Path, str] = {}
     _read_script(path.absolute(), found)
+    # Relative paths: the digest stays when the folder moves.
     rows = [(str(file.relative_to(path.absolute().parent)), text) for file, text in sorted(found.items())]
     return hashlib.sha256(repr(rows).encode()).hexdigest()
 
@@ -182,6 +183,7 @@ def _read_script(path: Path, found: dict[Path, str], top: Path | None = None) ->
         source = path.read_bytes()
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror or error}") from error
+    # Noted before its imports are followed: files that import each other would be read forever.
     found[path] = hashlib.sha256(source).hexdigest()
     try:
         tree = ast.parse(source)
@@ -206,6 +208,7 @@ def _imports(node: ast.AST, path: Path, top: Path) -> list[str]:
         return []
     base = node.module or ""
     if node.level:
+        # One dot is the file's own folder, so the file's name is the first part to go.
         parents = path.relative_to(top).parts[: -node.level]
         base = ".".join([*parents, *([base] if base else [])])
     # A name that is imported from a package may be one of its modules.

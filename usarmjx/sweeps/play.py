@@ -24,6 +24,7 @@ CompileSpan = tuple[float, float]
 def covered(spans: Iterable[CompileSpan]) -> float:
     """Return the time covered by at least one span [s]: a trace within a trace counts once."""
     whole, until = 0.0, -float("inf")
+    # Sorted by their beginnings: spans are heard at their ends, an outer one after those within it.
     for begin, end in sorted(spans):
         whole += max(0.0, end - max(begin, until))
         until = max(until, end)
@@ -40,6 +41,7 @@ class CompileClock:
         """Take note of what has just ended and how long it took [s]; JAX calls it."""
         if event.startswith(COMPILE_EVENT_PREFIX):
             now = time.monotonic()
+            # JAX reports a compilation at its end only: its beginning is counted back.
             self._spans.append((now - duration_secs, now))
 
     def taken(self) -> float:
@@ -119,6 +121,7 @@ def failure(key: str, settings: CellSettings, reason: str) -> CellRecord:
 
 def _episodes(work: BatchWork, watch: ShareWatch | None) -> Sequence[CellEpisodes]:
     own = [resolved(settings) for _, settings in work.cells]
+    # A cell with a client is a batch of its own, so the first cell is the only one.
     if own[0].driver.command is not None:
         # Here, as most sweeps have no clients and need no server.
         from usarmjx.sweeps.clients import play_client
@@ -136,6 +139,7 @@ def halves(work: BatchWork) -> list[BatchWork]:
     middle = len(work.cells) // 2
     return [
         BatchWork(
+            # Another name: `_Kept` must not serve a half with the environment of the whole batch.
             group=f"{work.group}:{cells[0][0]}-{len(cells)}",
             cells=cells,
             kin=tuple(settings for _, settings in cells),
@@ -173,6 +177,7 @@ def resolved(settings: CellSettings) -> Resolved:
     Raises:
         UsageError: See `resolve`.
     """
+    # Without the seed: cells that repeat one another differ in it alone, and share one entry.
     found = _resolved(_Frozen({name: value for name, value in settings.items() if name != "seed"}))
     return replace(found, settings=settings)
 

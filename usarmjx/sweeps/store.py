@@ -180,6 +180,7 @@ def read_cell(folder: Path, key: str) -> CellRecord | None:
     try:
         # Cells that earlier versions kept have no checksum.
         record = _record(file, read_kept(file, needs_checksum=False, most=MOST_CELL_BYTES))
+        # A copied or renamed file must not pass as the result of other settings.
         if record.key != key:
             raise NotWholeError(f"{file}: is the result of another cell, {record.key[:40]}")
     except SpecError as error:
@@ -211,6 +212,7 @@ def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         # Cut, as a damaged file may hold anything.
         raise NotWholeError(f"{file}: is no result of a cell: {error!r}"[:300]) from error
+    # Empty where all episodes have the same building: then there is no row to compare.
     if record.buildings:
         rows.append(record.buildings)
     if any(len(row) != len(record.scores) for row in rows):
