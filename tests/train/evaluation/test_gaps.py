@@ -20,9 +20,9 @@ from usarmjx.train.evaluation.engine_gap import (
     drive_table,
     place_of,
     places_for,
+    score_text,
     sources_of,
     task_gap,
-    told,
 )
 from usarmjx.train.evaluation.evaluate import Episodes, evaluation_of
 from usarmjx.train.learning.config import Config, RunRecord
@@ -90,8 +90,8 @@ def episodes(*scores, seed=0):
 
 def test_scores_are_told_with_their_intervals():
     shares = evaluation_of([episodes(*[0.0, 1.0] * 8)])
-    assert told([shares]) == f"0.5 ({shares.score.low:.3g} to {shares.score.high:.3g})"
-    assert told([evaluation_of([episodes(0.5)])]) == "0.5"
+    assert score_text([shares]) == f"0.5 ({shares.score.low:.3g} to {shares.score.high:.3g})"
+    assert score_text([evaluation_of([episodes(0.5)])]) == "0.5"
     names = [name for name, _ in sources_of(["drive-to-goal", "convoy"])]
     assert names == ["drive-to-goal, packaged policy", "drive-to-goal, baseline", "convoy, baseline"]
 
@@ -115,7 +115,7 @@ def test_runs_that_differ_by_their_seeds_share_a_row_and_are_told_each(tmp_path,
         "wander, trained on planar, square=2": ["e"],
     }
     few, many = evaluation_of([episodes(2.0, 2.0)]), evaluation_of([episodes(8.0, 8.0, 8.0, 8.0)])
-    assert told([few, many]) == "6 (6 to 6): 2, 8", "no interval of one run reaches over to the other's"
+    assert score_text([few, many]) == "6 (6 to 6): 2, 8", "no interval of one run reaches over to the other's"
 
 
 def folders(path):

@@ -88,7 +88,7 @@ def task_gap(
         seeds: Seeds of the environments.
         worlds: Number at once.
         split: Split of generated arenas, a name of `SPLITS`; None: `test`.
-        tell: Is told how far it is.
+        tell: Receives how far it is.
     """
 
     def cell(name: str, sources: Sequence[PolicySource], engine: str) -> str:
@@ -103,13 +103,15 @@ def task_gap(
         except UnsupportedFeatureError as refused:
             tell(f"{name}: {refused}")
             return "refused"
-        return told([evaluate_episodes(env, one.policy(env), episodes, seeds, tell=tell) for one in sources])
+        return score_text(
+            [evaluate_episodes(env, one.policy(env), episodes, seeds, tell=tell) for one in sources]
+        )
 
     rows = ((name, *(cell(name, sources, engine) for engine in engines)) for name, sources in tried)
     return table_lines(("task, policy", *engines), rows)
 
 
-def told(found: Sequence[Evaluation]) -> str:
+def score_text(found: Sequence[Evaluation]) -> str:
     """Return the score of one policy, or of several together, with its interval; then that of each."""
     score = pooled_score(found)
     each = f": {', '.join(f'{one.score.value:.3g}' for one in found)}" if len(found) > 1 else ""

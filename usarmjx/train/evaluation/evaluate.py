@@ -82,7 +82,7 @@ def run_episodes(
         episodes: Least number, rounded up to a multiple of the worlds.
         seed: Of the environment and of the policy's random numbers.
         level: Greatest difficulty of generated arenas, from 0 to 1; None: of all levels alike.
-        tell: Is told after each step how far it is.
+        tell: Receives after each step how far it is.
 
     Raises:
         UsageError: No episodes asked for.

@@ -107,7 +107,7 @@ def draw_opponents(league: League, mix: tuple[float, ...], keys: jax.Array) -> j
         keys: Keys of the worlds (worlds,).
     """
     there = league.since >= 0
-    by_hand, idle, itself = (jnp.int32(league.size + number) for number in range(3))
+    baseline, idle, itself = (jnp.int32(league.size + number) for number in range(3))
     # Free places have a rating, too, but no player.
     best = jnp.argmax(jnp.where(there, league.ratings, -jnp.inf))
 
@@ -116,7 +116,7 @@ def draw_opponents(league: League, mix: tuple[float, ...], keys: jax.Array) -> j
         # Without past selves yet, it plays against itself.
         past = jax.random.categorical(one, jnp.where(there, 0.0, -1e9))
         past_selves = jnp.where(there.any(), jnp.stack([best, past]).astype(jnp.int32), itself)
-        players = jnp.concatenate([jnp.stack([idle, by_hand, itself]), past_selves])
+        players = jnp.concatenate([jnp.stack([idle, baseline, itself]), past_selves])
         # The small number keeps a share of 0 from being the logarithm of 0.
         return players[jax.random.categorical(kind, jnp.log(jnp.asarray(mix) + 1e-12))]
 
@@ -196,11 +196,11 @@ class Rivals:
         place = jnp.minimum(match.opponent, league.size - 1)
         theirs = past[place, jnp.arange(len(place))]
         # Without a carry: the constructor refuses a baseline that has one.
-        by_hand = self._baseline.act((), (seen,), key)[1][0]
+        baseline = self._baseline.act((), (seen,), key)[1][0]
         # The trajectory holds actions before tanh; its inverse is infinite at 1, hence the limit.
-        by_hand = jnp.arctanh(jnp.clip(by_hand, -LARGEST_ACTION, LARGEST_ACTION))
+        baseline = jnp.arctanh(jnp.clip(baseline, -LARGEST_ACTION, LARGEST_ACTION))
         who = match.opponent[:, None, None]
-        chosen = jnp.where(who == league.size, by_hand, jnp.where(who == league.size + 1, 0.0, theirs))
+        chosen = jnp.where(who == league.size, baseline, jnp.where(who == league.size + 1, 0.0, theirs))
         return raw.at[:, self.rows].set(jnp.where(who == league.size + 2, raw[:, self.rows], chosen))
 
     def results(

@@ -2,7 +2,7 @@
 
 The update runs in every process at once, on a mesh with one device of each, over worlds that are local to
 a process. Sums over worlds, gradients among them, cross; so all processes learn the same. Worlds are
-shuffled within blocks (`Config.blocks`) that belong to one process: each minibatch is the same set of
+shuffled within blocks (`Config.shuffle_blocks`) that belong to one process: each minibatch is the same set of
 worlds however many processes there are, and only the order of summation differs.
 
 In imitation the policy acts and the teacher labels the states (DAgger; Ross, Gordon and Bagnell 2011), so

@@ -160,7 +160,7 @@ class PolicySource:
         checkpoint: Line about the checkpoint of a run and its choice; else empty.
         named: Whether the user has named the task, so that the code of an own one may be imported.
         parts: Policies of robot classes, by name, where each class has one of its own; else empty.
-        untrained: Whether `name` is one of `untrained.UNTRAINED`.
+        untrained: Whether `name` is one of `UNTRAINED`.
         own: Whether `name` is a user's own function, see `is_own_policy`.
     """
 
