@@ -21,9 +21,9 @@ from usarmjx.sensors.rays.targets import PADDING_DISTANCE, GeomHits, Geoms, conc
 TILE_BUNDLE_SIZE = TILE * TILE
 """Rays of a tile, which have similar directions."""
 SOLID_QUERY = RayQuery(transparent=frozenset({SKY, GLASS}), bundle_size=TILE_BUNDLE_SIZE)
-"""Queries for solids and for panes of glass."""
+"""Query of the first solid: rays pass the sky and panes."""
 PANE_QUERY = RayQuery(transparent=frozenset(MATERIALS) - {GLASS}, bundle_size=TILE_BUNDLE_SIZE)
-"""Materials that rays pass: of those that look for solids, and for panes."""
+"""Query of the first pane of glass: rays pass all else."""
 
 
 class RayHits(NamedTuple):
