@@ -14,12 +14,6 @@ import warp as wp
 _gjk: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_gjk")
 _support: Any = _gjk.support
 
-SPHERE = wp.constant(int(_gjk.GeomType.SPHERE))
-CAPSULE = wp.constant(int(_gjk.GeomType.CAPSULE))
-ELLIPSOID = wp.constant(int(_gjk.GeomType.ELLIPSOID))
-CYLINDER = wp.constant(int(_gjk.GeomType.CYLINDER))
-BOX = wp.constant(int(_gjk.GeomType.BOX))
-MESH = wp.constant(int(_gjk.GeomType.MESH))
 ROUNDING = wp.constant(2e-7)
 """Of places of some metres in single precision [m]."""
 

@@ -12,7 +12,8 @@ from typing import Any
 import warp as wp
 
 from usarmjx.base.warp_functions import with_globals
-from usarmjx.engines.warp_faces import BOX, CAPSULE, SPHERE, verdict_of_faces
+from usarmjx.engines.warp_faces import verdict_of_faces
+from usarmjx.sensors.rays.warp_kinds import BOX, CAPSULE, SPHERE
 
 # Private; the version of MJX is pinned.
 _gjk: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_gjk")

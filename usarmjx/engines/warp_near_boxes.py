@@ -13,9 +13,9 @@ from typing import Any
 import warp as wp
 
 from usarmjx.base.warp_functions import with_globals
-from usarmjx.engines.warp_faces import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from usarmjx.engines.warp_gjk import unstalled_phase
 from usarmjx.engines.warp_normals import contacts_with_exact_normal, epa_with_exact_normal
+from usarmjx.sensors.rays.warp_kinds import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 # Private; the version of MJX is pinned.
 _core: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_core")

@@ -13,7 +13,8 @@ from typing import Any
 
 import warp as wp
 
-from usarmjx.engines.warp_faces import BOX, is_certain, nearest_face
+from usarmjx.engines.warp_faces import is_certain, nearest_face
+from usarmjx.sensors.rays.warp_kinds import BOX
 
 # Private; the version of MJX is pinned.
 _gjk: Any = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_gjk")

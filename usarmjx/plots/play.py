@@ -200,10 +200,14 @@ def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
     return drawn
 
 
-def _figure(columns: int, rows: int, arena: ArenaSpec) -> Figure:
+def plan_height(arena: ArenaSpec, width: float) -> float:
+    """Return the height of an arena's plan of some width [inch]; very long or tall arenas leave a margin."""
     (x0, x1), (y0, y1) = arena.extent
-    tall = PANEL_WIDTH * min(2.0, max(0.4, (y1 - y0) / (x1 - x0)))
-    size = (columns * PANEL_WIDTH, rows * (tall + 0.35))
+    return width * min(2.0, max(0.4, (y1 - y0) / (x1 - x0)))
+
+
+def _figure(columns: int, rows: int, arena: ArenaSpec) -> Figure:
+    size = (columns * PANEL_WIDTH, rows * (plan_height(arena, PANEL_WIDTH) + 0.35))
     figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -537,8 +541,7 @@ def plot_teams(task: str, rows: Sequence[TeamResult], seen: TeamWays, out: Path)
     if seen.arena is None:
         raise ValueError("no team has been watched")
     lines = -(-len(rows) // COLUMNS)
-    (x0, x1), (y0, y1) = seen.arena.extent
-    tall = PLAN_WIDTH * min(2.0, max(0.4, (y1 - y0) / (x1 - x0))) + 0.2
+    tall = plan_height(seen.arena, PLAN_WIDTH) + 0.2
     with figure_style():
         figure = Figure(figsize=(PAGE, PANEL_HEIGHT + lines * tall), layout="constrained")
         grid = figure.add_gridspec(1 + lines, COLUMNS, height_ratios=[PANEL_HEIGHT, *[tall] * lines])

@@ -24,6 +24,7 @@ from usarmjx.plots.play import (
     draw_tracks,
     frames_of,
     picture_of,
+    plan_height,
     write_gif,
 )
 from usarmjx.plots.style import PANEL_HEIGHT, figure_style
@@ -88,9 +89,9 @@ def _panels(rows: Sequence[TeamResult], seen: TeamWays) -> tuple[Figure, list[Ax
     """Return a figure with a plan for each team, and below them the points for finds over time."""
     if seen.arena is None:
         raise ValueError("no team has been watched")
-    columns, (x, y) = min(COLUMNS, len(rows)), seen.arena.extent
+    columns = min(COLUMNS, len(rows))
     lines = -(-len(rows) // columns)
-    tall = PANEL_WIDTH * min(2.0, max(0.4, (y[1] - y[0]) / (x[1] - x[0]))) + 0.3
+    tall = plan_height(seen.arena, PANEL_WIDTH) + 0.3
     size = (columns * PANEL_WIDTH, lines * tall + PANEL_HEIGHT)
     figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
